@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from shift3d.analysis.html.blocks import Block, Section
+from shift3d.analysis.html.document import document
 from shift3d.analysis.variants import Variant
 
 DETECTOR = "pointpillars"
@@ -14,6 +17,7 @@ DETECTOR = "pointpillars"
 
 def variant(scores: dict[tuple[str, str], list[float]], mode: str = "shape", **more: Any) -> Variant:
     """Scores by (method, vehicle), one a scene. more: columns of the rows, by task as "vehicle-scene"."""
+    more = {"natural": {}, **more}
     weight = 1.0 if mode == "shape" else np.nan
     rows = [
         {"task_id": f"{vehicle}-{scene}", "place": f"street/{scene}", "method": method, "vehicle": vehicle}
@@ -39,6 +43,11 @@ def variant(scores: dict[tuple[str, str], list[float]], mode: str = "shape", **m
         "key": f"{mode}-0",
     }
     return Variant(**named, auc=pd.DataFrame(auc), rows=frame)
+
+
+def blocks_html(blocks: Sequence[Block]) -> str:
+    """Blocks as they stand in a page."""
+    return document("", [Section("tested", "", blocks)]).partition("<section")[2].partition("</section>")[0]
 
 
 def two_vehicles() -> Variant:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from shift3d.analysis.forecast.expected import SHIPPED, TaskParts
+from shift3d.analysis.forecast import SHIPPED, TaskParts
 from shift3d.analysis.results import read_sweep
 from shift3d.analysis.tables.accuracy.cost import MEASURED
 from shift3d.errors import InputError

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import pandas as pd
-
 from shift3d.analysis.cases.frozen import view_of
-from shift3d.analysis.html.gate import GatePage, gate_html
+from shift3d.analysis.html.gate import gate_html
 from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.loss import least_p_value
 from shift3d.analysis.statistics.releases import Rule
@@ -65,9 +63,12 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
         what = f"{scorer.name} has no release to compare with, and did not score all of the suite's objects"
         raise InputError(what, str(releases), "Give accept=true to make these weights the first release")
     _claim(out, suite, scorer)
-    answers = _with_progress(score_suite(suite, scorer, out / "answers", settings.workers), suite)
-    after = {key: score for table in answers for key, score in zip(table["object_id"], table["score"], strict=True)}
-    after = {key: after[key] for key in suite.objects["object_id"]}
+    scores: dict[str, float] = {}
+    with progress_bar(total=len(suite.objects), desc="scoring", unit="object") as bar:
+        for table in score_suite(suite, scorer, out / "answers", settings.workers):
+            scores |= zip(table["object_id"], table["score"], strict=True)
+            bar.update(len(table))
+    after = {key: scores[key] for key in suite.objects["object_id"]}
     if last is None:
         number = accept_release(suite, releases, scorer, after)
         text = f"{counted(len(after), 'object')} scored; accepted as release {number}, the first"
@@ -94,8 +95,8 @@ def _write(
     worst = found.rows[found.rows["change"] < 0].head(_SHOWN)["object_id"]
     by_id = suite.objects.set_index("object_id", drop=False)
     views = {key: view_of(suite, by_id.loc[key].to_dict(), scorer) for key in worst}
-    page = GatePage(found, sentence, caution, views, simulated_rates(found), facts)
-    (out / "gate.html").write_atomic(gate_html(page).encode())
+    page = gate_html(found, sentence, caution, views, simulated_rates(found), facts)
+    (out / "gate.html").write_atomic(page.encode())
     worse = worst_table(found, 10)
     below = str(worse) if worse else "No score fell."
     return [str(measures_table(found)), below, sentence, caution, f"{out / 'gate.html'} written"]
@@ -165,10 +166,3 @@ def _verdict(found: Comparison, sentence: str, facts: Mapping[str, str]) -> byte
     values = {"worse": found.worse, "sentence": sentence, "measures": measures, "objects": counts}
     values |= {"detectable_loss": found.detectable, "facts": dict(facts)}
     return (json.dumps(values, indent=1, sort_keys=True, allow_nan=False) + "\n").encode()
-
-
-def _with_progress(answers: Iterator[pd.DataFrame], suite: FrozenSuite) -> Iterator[pd.DataFrame]:
-    with progress_bar(total=len(suite.objects), desc="scoring", unit="object") as bar:
-        for table in answers:
-            bar.update(len(table))
-            yield table

@@ -15,6 +15,8 @@ from shift3d.scenes.sets import place_of
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMAS
+from shift3d.store.tables import read_final
+from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
@@ -125,9 +127,6 @@ def read_sweep(folder: LocationLike) -> Sweep:
 
     Raises: InputError: naming the folder or file, where it is no sweep's, has not finished, or is damaged.
     """
-    from shift3d.store.tables import read_final
-    from shift3d.sweep.planning.folder import read_plan
-
     folder = as_location(folder)
     plan, final = read_plan(folder), folder / "final"
     later = [name for name in (*_LATER, "verification") if (final / f"{name}.parquet").is_file()]

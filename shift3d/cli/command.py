@@ -80,6 +80,14 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
     return values
 
 
+def take_words(key: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """What words say as ``key=VALUE``, and the other words. Raises: InputError: one says nothing."""
+    named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
+    if not all(value.strip() for value in named):
+        raise empty_error(key)
+    return named, [word for word in words if not word.startswith(f"{key}=")]
+
+
 def choice(values: Mapping[str, str], key: str, allowed: Sequence[str], where: str) -> str:
     """One of some values of a key, by default the first. Raises: InputError for another."""
     value = values.get(key, allowed[0])

@@ -10,9 +10,6 @@ from typing import Any
 
 from shift3d.settings.folders import files, places, shipped
 
-_OUTPUTS = Path("outputs")
-_FOLDERS = ("out", "reuse")
-
 
 def sweep_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_: Any) -> list[str]:
     """Completions of a word after ``shift3d sweep``: plan, status, a sweep's folder, or as :func:`plan_words`."""
@@ -27,7 +24,7 @@ def sweep_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_:
 def plan_words(prefix: str, **_: Any) -> list[str]:
     """Completions of a sweep's name, a job, or an override."""
     key, equals, value = prefix.partition("=")
-    if equals and key in _FOLDERS:
+    if equals and key in ("out", "reuse"):
         return [f"{key}={folder}" for folder in folder_words(value)]
     if prefix.startswith("job="):
         return [f"job={name}" for name in job_names()]
@@ -42,7 +39,7 @@ def job_names() -> list[str]:
 def folder_words(prefix: str, **_: Any) -> list[str]:
     """Completions of a sweep's folder: those in outputs/, and folders on the way to others."""
     head, slash, _name = prefix.rpartition("/")
-    places = [Path(f"{head}{slash}").expanduser()] if slash else [Path(), _OUTPUTS]
+    places = [Path(f"{head}{slash}").expanduser()] if slash else [Path(), Path("outputs")]
     found = []
     for place in places:
         for folder in sorted(place.glob("*/")):

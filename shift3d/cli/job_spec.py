@@ -9,8 +9,9 @@ from typing import Any, Literal, Self
 import yaml  # type: ignore[import-untyped]
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
+from shift3d.cli.command import take_words
 from shift3d.cli.completion import job_names
-from shift3d.errors import InputError, empty_error
+from shift3d.errors import InputError
 from shift3d.settings.folders import files, looked_in
 
 
@@ -49,10 +50,7 @@ def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
 
     Raises: InputError: see :func:`read_job`.
     """
-    named = [word.removeprefix("job=") for word in words if word.startswith("job=")]
-    rest = [word for word in words if not word.startswith("job=")]
-    if not all(name.strip() for name in named):
-        raise empty_error("job")
+    named, rest = take_words("job", words)
     return read_job(named[-1]) if named else None, rest
 
 

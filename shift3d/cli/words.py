@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from shift3d.errors import InputError, empty_error
+from shift3d.cli.command import take_words
+from shift3d.errors import InputError
 from shift3d.settings.folders import files
 
 if TYPE_CHECKING:
@@ -75,10 +76,8 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
     """
     from shift3d.store.resolve import as_location
 
-    named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
-    if not all(folder.strip() for folder in named):
-        raise empty_error(key)
-    return [as_location(folder) for folder in named], [word for word in words if not word.startswith(f"{key}=")]
+    named, rest = take_words(key, words)
+    return [as_location(folder) for folder in named], rest
 
 
 def runner_of(words: Sequence[str], command: str) -> RunnerConfig:

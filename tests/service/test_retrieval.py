@@ -139,7 +139,7 @@ def test_the_report_shows_both(out: Path) -> None:
     from shift3d.analysis.results import read_sweep
 
     sweep = read_sweep(out)
-    texts = repr(retrieval(sweep, Loaded(sweep.plan)).blocks) + repr(patterns(sweep).blocks)
+    texts = repr(retrieval(sweep, Loaded(sweep.plan))) + repr(patterns(sweep))
     assert "natural kin" in texts and "1 of 1" in texts and "2 refused" in texts and "windshield" in texts
     assert "cannot be drawn" not in texts
 

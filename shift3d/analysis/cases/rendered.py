@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import Any
 
+import fast_simplification
 import numpy as np
+import torch
+import trimesh
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    import trimesh
-
-    from shift3d.detectors.base import Proposals
-    from shift3d.sweep.planning.plan import Plan
-    from shift3d.sweep.planning.tasks import PlannedTask
-    from shift3d.task.assets import Assets
+from shift3d.attack.objective import object_box
+from shift3d.detectors.base import Proposals
+from shift3d.geometry.se3 import scene_from_object
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import PlannedTask
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.follow_ups.rendered import render_solution
+from shift3d.task.scoring import boxes_around, detections_near
+from shift3d.vehicles.mesh_measures import Measures, measure_mesh
+from shift3d.vehicles.vehicle import vehicle_mesh
 
 FloatArray = NDArray[np.float64]
 VIEW_M = 10.0
@@ -43,6 +50,11 @@ class Rendered:
     found: FloatArray | None
     score: float
 
+    @cached_property
+    def measures(self) -> Measures:
+        """Of its mesh."""
+        return measure_mesh(self.mesh)
+
 
 @dataclass
 class Loaded:
@@ -54,16 +66,12 @@ class Loaded:
 
     def assets(self, task: PlannedTask) -> Assets:
         """Raises InputError for what cannot be loaded, or is not what was planned with."""
-        from shift3d.task.assets import load_assets
-
         if task.assets not in self._assets:
             self._assets[task.assets] = load_assets(self.plan.assets[task.assets])
         return self._assets[task.assets]
 
     def mesh(self, task: PlannedTask, solution: Mapping[str, Any], resolution: int = 128) -> trimesh.Trimesh:
         """The mesh of a solution, object frame, metres. Raises InputError for a code without a surface."""
-        from shift3d.vehicles.vehicle import vehicle_mesh
-
         assets, code = self.assets(task), np.array(solution["latent_code"], dtype=np.float32)
         vehicle = assets.drawn_vehicle(task.spec, solution)
         key = (vehicle.name, code.tobytes(), resolution)
@@ -78,10 +86,6 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
     centre_xy: (2,) middle of the view.
     Raises: InputError for what cannot be loaded, or is not what was planned with, and for a code without a surface.
     """
-    from shift3d.attack.objective import object_box
-    from shift3d.task.follow_ups.rendered import render_solution
-    from shift3d.task.scoring import boxes_around
-
     again = render_solution(task.spec, solution, loaded.assets(task))
     problem, theta, rendering = again.problem, again.theta, again.rendering
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
@@ -103,8 +107,6 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
 
 def best_box(proposals: Proposals, box: FloatArray, radius_m: float) -> tuple[FloatArray | None, float]:
     """The box (7,) that gives the object at ``box`` its score, and the score; None and 0 without one."""
-    from shift3d.task.scoring import detections_near
-
     detections = detections_near(proposals, box, radius_m)
     near = np.flatnonzero(np.hypot(*(detections.boxes[:, :2] - box[:2]).T) < radius_m)
     if not len(near):
@@ -122,8 +124,6 @@ def thinned(points: FloatArray, centre_xy: FloatArray) -> FloatArray:
 
 def simplified(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Vertices (V, 3) and triangles (F, 3) of a mesh, few enough for a page; a small mesh as it is."""
-    import fast_simplification
-
     vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
     if len(faces) > _FACES:
         vertices, faces = fast_simplification.simplify(vertices, faces, target_count=_FACES)
@@ -135,10 +135,6 @@ def oriented(vertices: NDArray[np.floating[Any]], theta: FloatArray, yaw_rad: fl
 
     theta: (6,) pose. yaw_rad: by how much they are turned back.
     """
-    import torch
-
-    from shift3d.geometry.se3 import scene_from_object
-
     pose = torch.from_numpy(np.array(theta, dtype=np.float64))
     pose[:3], pose[3] = 0.0, pose[3] - yaw_rad
     turned = scene_from_object(torch.from_numpy(np.asarray(vertices, dtype=np.float64)), pose)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import textalloc
 from matplotlib.axes import Axes
 
 FloatArray = npt.NDArray[np.float64]
@@ -37,8 +38,6 @@ def place_labels(axes: Axes, labels: Sequence[PointLabel], markers: FloatArray, 
         markers: (M, 2) in data coordinates.
         lines: (N, 2) each, in data coordinates.
     """
-    import textalloc
-
     if not labels:
         return
     ordered = sorted(labels, key=lambda label: not label.strong)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import numpy as np
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.image import imsave
+from numpy.typing import NDArray
 
 COLOURS = {
     "baseline": "#7d7d7d",
@@ -30,8 +29,6 @@ def png(figure: Figure) -> bytes:
 
 def pixels_png(pixels: NDArray[np.uint8]) -> bytes:
     """Pixels (H, W, 3)."""
-    from matplotlib.image import imsave
-
     picture = io.BytesIO()
     imsave(picture, pixels, format="png", metadata={"Software": ""})
     return picture.getvalue()

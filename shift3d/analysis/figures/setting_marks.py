@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +24,6 @@ _COLOURS = (
     *("#F6A600", "#B3446C", "#2B3D26", "#F99379", "#875692", "#C2B280", "#E25822", "#654522"),
 )
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "p", "d", "H", "8")
-_PRESETS = "#000000", "*"
 _SIZE, _STAR, _RING = 6.0, 13.0, 4.5  # points: of a marker, of a preset's, and by how much each ring is wider
 RING = "ring"
 """The gid of a ring around a marker: a setting that renders the same as what is drawn within."""
@@ -37,18 +37,14 @@ class Style:
     marker: str
 
 
+_PRESETS = Style("#000000", "*")
+
+
 def styles_of(frame: pd.DataFrame) -> dict[str, Style]:
     """By method, in the frame's order: a colour and a marker of its own; presets are black stars."""
-    methods = list(dict.fromkeys(frame["method"]))
     presets = set(frame.loc[frame["preset"].notna(), "method"])
-    styles, count = {}, 0
-    for method in methods:
-        if method in presets:
-            styles[method] = Style(*_PRESETS)
-        else:
-            styles[method] = Style(_COLOURS[count % len(_COLOURS)], _MARKERS[count % len(_MARKERS)])
-            count += 1
-    return styles
+    others = map(Style, itertools.cycle(_COLOURS), itertools.cycle(_MARKERS))
+    return {name: _PRESETS if name in presets else next(others) for name in dict.fromkeys(frame["method"])}
 
 
 def joined(rows: pd.DataFrame) -> list[Any]:

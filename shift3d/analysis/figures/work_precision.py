@@ -40,7 +40,7 @@ _PANELS = (
 )
 
 
-def work_precision_figure(frame: pd.DataFrame, scenes: str | Sequence[str] | None = None) -> Figure:
+def work_precision_figure(frame: pd.DataFrame, scenes: str | None = None) -> Figure:
     """Time of a rendering against its error, both logarithmic; lower left is better.
 
     A line with markers is a method swept over its knob, bars are the quartiles of the time. Each method has a colour.
@@ -51,14 +51,13 @@ def work_precision_figure(frame: pd.DataFrame, scenes: str | Sequence[str] | Non
 
     Args:
         frame: the frontier's table.
-        scenes: one set or several, a row of panels each, and one more for what is ready for a gradient; None: all sets
-            of the frame.
+        scenes: one set; None: all of the frame, a row of panels each, and one more for what is ready for a gradient.
 
     Returns: A figure whose layout is final, with an Agg canvas.
 
     Raises: ValueError: a set has no rows.
     """
-    names = [scenes] if isinstance(scenes, str) else list(scenes or dict.fromkeys(frame["scenes"]))
+    names = dict.fromkeys(frame["scenes"]) if scenes is None else [scenes]
     same = same_as_presets(frame)
     drawn = frame[~frame["method"].isin(same)]
     groups = [group for name in names for group in _groups(drawn[drawn["scenes"] == name], name)]
@@ -203,6 +202,5 @@ def _swept(rows: pd.DataFrame) -> str:
     if unit not in ("m", "ms", "rad"):
         name, unit = f"{name} {unit}".strip().replace("_", " "), ""
     first, last = rows["knob"].iloc[0], rows["knob"].iloc[-1]
-    if first == last:
-        return f" ({name.replace('_', ' ')} {first:.3g} {unit}".rstrip() + ")"
-    return f" ({name.replace('_', ' ')} {first:.3g} to {last:.3g} {unit}".rstrip() + ")"
+    span = f"{first:.3g}" if first == last else f"{first:.3g} to {last:.3g}"
+    return f" ({name.replace('_', ' ')} {span} {unit}".rstrip() + ")"

@@ -11,10 +11,15 @@ from shift3d.analysis.tables.table import Table
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A paragraph. kind: a CSS class; "missing" for what the sweep does not have."""
+    """A paragraph. kind: a CSS class."""
 
     text: str
     kind: str = ""
+
+
+def missing(text: str) -> Paragraph:
+    """A paragraph on what there is not."""
+    return Paragraph(text, "missing")
 
 
 @dataclass(frozen=True)

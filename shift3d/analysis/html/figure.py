@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
+import plotly.io
+from plotly.offline import get_plotlyjs
 
 from shift3d.analysis.html.blocks import Plot
 
@@ -30,10 +33,7 @@ _COMMON = {
 
 def plotly_library() -> str:
     """Plotly's JavaScript, to be put into the page."""
-    from plotly.offline import get_plotlyjs
-
-    library: str = get_plotlyjs()
-    return library
+    return str(get_plotlyjs())
 
 
 def plot(
@@ -55,9 +55,6 @@ def plot(
 
     Raises: ValueError: a trace or layout that plotly does not know.
     """
-    import plotly.graph_objects as go
-    import plotly.io
-
     figure = go.Figure(data=list(traces), layout={**_COMMON, **layout})
     # The engine is named: another one, where it is installed, would write other bytes.
     data = plotly.io.to_json(figure, engine="json").replace("</", "<\\/")
@@ -87,18 +84,16 @@ def line(x: Any, y: Any, name: str, style: Mapping[str, Any], **more: Any) -> di
     return {"type": "scatter", "mode": "lines", "x": x, "y": short(y), "line": style, "name": name, **hover, **more}
 
 
+def marks(x: Any, y: Any, marker: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+    """Single points."""
+    return {"type": "scatter", "mode": "markers", "x": x, "y": y, "marker": marker, **more}
+
+
 def band(x: Any, low: Any, high: Any, colour: str, **more: Any) -> list[dict[str, Any]]:
     """The area between two curves; nothing where there are none."""
     if low is None or high is None:
         return []
     edge = {"width": 0, "color": colour, **more.pop("line", {})}
-    common = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": x,
-        "line": edge,
-        "hoverinfo": "skip",
-        "showlegend": False,
-        **more,
-    }
+    quiet = {"hoverinfo": "skip", "showlegend": False}
+    common = {"type": "scatter", "mode": "lines", "x": x, "line": edge, **quiet, **more}
     return [{**common, "y": short(low)}, {**common, "y": short(high), "fill": "tonexty", "fillcolor": filled(colour)}]

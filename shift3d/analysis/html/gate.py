@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from shift3d.analysis.cases.frozen import FrozenView
 from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.html.blocks import Article, Block, Panels, Paragraph, Plot, Section, Terms
+from shift3d.analysis.html.blocks import Article, Block, Panels, Paragraph, Plot, Section, Terms, missing
 from shift3d.analysis.html.document import document
-from shift3d.analysis.html.figure import LEGEND_BELOW, axis, plot, plotly_library, short
+from shift3d.analysis.html.figure import LEGEND_BELOW, axis, marks, plot, plotly_library, short
 from shift3d.analysis.html.scene_figures import dots, seen_from_above, true_to_scale
 from shift3d.analysis.statistics.releases import Rates
 from shift3d.analysis.tables.gate import Comparison, measures_table, power_table, simulation_table, worst_table
@@ -29,53 +28,52 @@ _MEANING = {
 }
 
 
-@dataclass(frozen=True)
-class GatePage:
-    """What the page shows. sentence: the verdict. caution: what a reader must know of it; empty: nothing. views: of the
-    worst objects, by object_id. rates: of simulated releases. facts: by name, of suite and weights."""
+def gate_html(
+    found: Comparison,
+    sentence: str,
+    caution: str,
+    views: Mapping[str, FrozenView],
+    rates: Sequence[Rates],
+    facts: Mapping[str, str],
+) -> str:
+    """The whole page; the same result to the same text.
 
-    found: Comparison
-    sentence: str
-    caution: str
-    views: Mapping[str, FrozenView]
-    rates: Sequence[Rates]
-    facts: Mapping[str, str]
-
-
-def gate_html(page: GatePage) -> str:
-    """The whole page; the same result to the same text."""
-    verdict: list[Block] = [Paragraph(page.sentence, "worst" if page.found.worse else "")]
-    verdict += [Paragraph(page.caution)] if page.caution else []
-    verdict += [measures_table(page.found)]
+    sentence: the verdict. caution: what a reader must know of it; empty: nothing. views: of the worst objects, by
+    object_id. rates: of simulated releases. facts: by name, of suite and weights.
+    """
+    verdict: list[Block] = [Paragraph(sentence, "worst" if found.worse else "")]
+    verdict += [Paragraph(caution)] if caution else []
+    verdict += [measures_table(found)]
     sure: list[Block] = [
         Paragraph(
             "Objects whose score lies near the threshold change sides between any two trainings. The more of them "
             "there are, the more objects it takes to see a loss. The table holds for independent objects and for the "
             "test of recall alone; the simulation below is of the whole test on these objects."
         ),
-        power_table(len(page.found.measures), page.found.rule.level),
-        simulation_table(list(page.rates)),
+        power_table(len(found.measures), found.rule.level),
+        simulation_table(rates),
     ]
+    worst = [*_articles(found, views), *filter(None, [worst_table(found)])]
     sections = [
         Section("verdict", "Verdict", verdict),
-        Section("worst", "What got worse, worst first", [*_articles(page), *filter(None, [worst_table(page.found)])]),
-        Section("scores", "Every object before and after", [_scatter(page.found)]),
+        Section("worst", "What got worse, worst first", worst),
+        Section("scores", "Every object before and after", [_scatter(found)]),
         Section("power", "What this suite can show", sure),
-        Section("compared", "What was compared", [Terms(page.facts), Terms(_MEANING)]),
+        Section("compared", "What was compared", [Terms(facts), Terms(_MEANING)]),
     ]
     return document("shift3d: gate", sections, "New weights on a suite of hard objects.", plotly_library())
 
 
-def _articles(page: GatePage) -> list[Block]:
-    rows = {row["object_id"]: row for row in page.found.rows.to_dict("records")}
+def _articles(found: Comparison, views: Mapping[str, FrozenView]) -> list[Block]:
+    rows = {row["object_id"]: row for row in found.rows.to_dict("records")}
     parts: list[Block] = []
-    for number, (key, view) in enumerate(page.views.items(), start=1):
+    for number, (key, view) in enumerate(views.items(), start=1):
         row = rows[key]
         title = f"{number}. {row['vehicle']}, {row['role']}: score {row['score_before']:.2f} → {row['score']:.2f}"
-        views = Panels([_above(f"above-{number}", view), _side(f"side-{number}", view)])
+        both = Panels([_above(f"above-{number}", view), _side(f"side-{number}", view)])
         text = f"Scene {row['scene']}, {row['range_m']:.1f} m away, {row['object_points']} points, object {key[:12]}."
-        parts.append(Article(f"object-{number}", title, [Paragraph(text), views]))
-    return parts or [Paragraph("No score fell.", "missing")]
+        parts.append(Article(f"object-{number}", title, [Paragraph(text), both]))
+    return parts or [missing("No score fell.")]
 
 
 def _above(key: str, view: FrozenView) -> Plot:
@@ -100,11 +98,10 @@ def _scatter(found: Comparison) -> Plot:
         rows = found.rows[found.rows["role"] == role]
         if rows.empty:
             continue
-        at = {"x": short(rows["score_before"]), "y": short(rows["score"])}
         texts = [f"{row.vehicle}, {row.scene}, {row.object_id[:12]}" for row in rows.itertuples()]
         marker = {"size": 6, "color": colour, "opacity": 0.7}
         hover = {"text": texts, "hovertemplate": "%{text}<br>%{x:.3f} → %{y:.3f}<extra></extra>"}
-        traces.append({"type": "scatter", "mode": "markers", **at, "marker": marker, "name": name, **hover})
+        traces.append(marks(short(rows["score_before"]), short(rows["score"]), marker, name=name, **hover))
     same = {"type": "scatter", "mode": "lines", "x": [0, 1], "y": [0, 1], "name": "no change", "hoverinfo": "skip"}
     traces.append({**same, "line": {"color": "#8a8a8a", "width": 1}})
     limit = {"type": "line", "line": {"color": "#8a8a8a", "width": 1, "dash": "dot"}}

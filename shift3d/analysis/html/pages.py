@@ -16,7 +16,7 @@ from shift3d.analysis.html.sections.effects import impact_blocks
 from shift3d.analysis.html.sections.stability import stability_blocks
 from shift3d.analysis.tables.accuracy.advice import advice
 from shift3d.analysis.tables.accuracy.cost import diagnostics
-from shift3d.analysis.tables.accuracy.frontier import RULE, frontier_lines, meanings, printed_legend, settings_tables
+from shift3d.analysis.tables.accuracy.frontier import RULE, frontier_lines, meanings, measured_headers, settings_tables
 from shift3d.analysis.tables.effects import EffectImpact
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
@@ -33,12 +33,13 @@ def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
         machine: what it was measured on, by name.
     """
     measured = ", ".join(f"{name} {value}" for name, value in machine.items()) or "not recorded"
+    headers = measured_headers(frame)
     sections: list[Section] = []
-    for (scenes, table), text in zip(settings_tables(frame), advice(frame).split("\n\n")):
+    for (scenes, table), text in zip(settings_tables(frame, headers), advice(frame).split("\n\n")):
         diagram = png(work_precision_figure(frame, scenes))
         picture = Picture(diagram, f"Time of a rendering against its error, {scenes} scenes")
         sections.append(Section(f"scenes-{len(sections)}", scenes, [Paragraph(text), picture, table]))
-    explained: list[Block] = [Paragraph(RULE), Terms(meanings(frame))]
+    explained: list[Block] = [Paragraph(RULE), Terms(meanings(headers))]
     sections.append(Section("meaning", "What the numbers mean", explained))
     return document("What accuracy costs in time", sections, f"Measured on: {measured}.")
 
@@ -60,7 +61,7 @@ def write_frontier_report(folder: Path) -> str:
     write_atomic(folder / "advice.txt", f"{text}\n".encode())
     write_atomic(folder / "frontier.png", png(work_precision_figure(frame)))
     write_atomic(folder / "report.html", frontier_html(frame, machine_of(table)).encode())
-    return f"{frontier_lines(frame)}\n\n{printed_legend(frame)}\n\n{text}"
+    return f"{frontier_lines(frame)}\n\n{text}"
 
 
 def write_effects_page(path: LocationLike, sweep: str, impacts: Sequence[EffectImpact]) -> Location:

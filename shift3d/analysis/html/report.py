@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from shift3d.analysis.cases.rendered import Loaded
-from shift3d.analysis.html.blocks import Section
+from shift3d.analysis.html.blocks import Block, Section
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
 from shift3d.analysis.html.sections.auc import auc, differences, sensors
@@ -37,34 +37,34 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     found, loaded = variants(sweep.auc, sweep.scored), Loaded(plan)
     known = [trial_caveat(plan.tasks), unmoved(sweep.scores), *merged_lines(plan.tasks)]
     caveat = ". ".join(line for line in known if line)
-    sections: list[Callable[[], Section | None]] = [
-        lambda: in_short(found, caveat, nothing_placed(sweep.scores, plan.settings)),
-        lambda: hard_cases(sweep, loaded, cases),
-        lambda: gallery(sweep, loaded),
-        lambda: budgets(found),
-        lambda: sensors(sweep),
-        lambda: auc(sweep, found),
-        lambda: curves(found),
-        lambda: bev(sweep, found),
-        lambda: transfer_grid(sweep, found),
-        lambda: paths(sweep, found),
-        lambda: patterns(sweep),
-        lambda: rules(sweep),
-        lambda: retrieval(sweep, loaded),
-        lambda: differences(found),
-        lambda: choices(sweep),
-        lambda: stability(sweep),
-        lambda: accuracy(sweep),
-        lambda: effects(sweep),
-        lambda: overview(sweep),
-        lambda: coverage(sweep),
+    sections: list[tuple[str, str, Callable[[], list[Block]]]] = [
+        ("short", "In short", lambda: in_short(found, caveat, nothing_placed(sweep.scores, plan.settings))),
+        ("cases", "The hard cases", lambda: hard_cases(sweep, loaded, cases)),
+        ("gallery", "Gallery", lambda: gallery(sweep, loaded)),
+        ("budgets", "How hard vehicles get that stay vehicles", lambda: budgets(found)),
+        ("sensors", "Sensor or detector", lambda: sensors(sweep)),
+        ("auc", "Area under the curve", lambda: auc(sweep, found)),
+        ("curves", "Threshold-recall curves", lambda: curves(found)),
+        ("bev", "Where the score falls", lambda: bev(sweep, found)),
+        ("transfer", "In other scenes, at other places", lambda: transfer_grid(sweep, found)),
+        ("paths", "The score along the steps", lambda: paths(sweep, found)),
+        ("patterns", "What attacks change", lambda: patterns(sweep)),
+        ("rules", "What the missed objects share", lambda: rules(sweep)),
+        ("retrieval", "Natural kin", lambda: retrieval(sweep, loaded)),
+        ("differences", "Paired differences", lambda: differences(found)),
+        ("choices", "Choice of hyper-parameters", lambda: choices(sweep)),
+        ("stability", "Stability", lambda: stability(sweep)),
+        ("accuracy", "Accuracy against time", lambda: accuracy(sweep)),
+        ("effects", "Effects", lambda: effects(sweep)),
+        ("run", "What was run", lambda: overview(sweep)),
+        ("coverage", "Failures and coverage", lambda: coverage(sweep)),
     ]
     lead = (
         f"{counted(len(plan.tasks), 'attack')} on a LiDAR vehicle detector: a vehicle is inserted into a scene, "
         "and its shape or pose is changed, by the detector's gradient, until the detector misses it."
     )
     bar = progress_bar(sections, desc="parts of the page", leave=False)
-    shown = [section for make in bar if (section := make()) is not None]
+    shown = [Section(key, title, blocks) for key, title, make in bar if (blocks := make())]
     return document(f"shift3d: {plan.sweep}", shown, lead, plotly_library())
 
 

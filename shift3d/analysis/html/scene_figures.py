@@ -14,8 +14,9 @@ from shift3d.analysis.cases.frozen import FrozenView
 from shift3d.analysis.cases.rendered import VIEW_M, Rendered, oriented, simplified
 from shift3d.analysis.figures.picture import COLOURS, pixels_png
 from shift3d.analysis.html.blocks import Panels, Plot, TurnButtons
-from shift3d.analysis.html.figure import LEGEND_BELOW, axis, plot
+from shift3d.analysis.html.figure import LEGEND_BELOW, axis, marks, plot
 from shift3d.geometry.boxes import corners_bev
+from shift3d.vehicles.picture import shaded
 
 FloatArray = NDArray[np.float64]
 RGB = tuple[float, float, float]
@@ -112,8 +113,7 @@ def true_to_scale(
 def dots(points: FloatArray, colour: str, size: int, name: str) -> dict[str, Any]:
     """Points (P, 2) as dots."""
     at = {axis_name: np.round(points[:, i], 2).astype(np.float32) for i, axis_name in enumerate("xy")}
-    marker = {"size": size, "color": colour}
-    return {"type": "scatter", "mode": "markers", **at, "marker": marker, "name": name, "hoverinfo": "skip"}
+    return marks(marker={"size": size, "color": colour}, name=name, hoverinfo="skip", **at)
 
 
 def outline(box: FloatArray, colour: str, dash: str, name: str) -> dict[str, Any]:
@@ -133,8 +133,6 @@ def side_by_side(meshes: Sequence[trimesh.Trimesh], towards: Sequence[float], co
 
     towards: (N,) azimuths that they are seen from, radians. colours: (N,) of the vehicles.
     """
-    from shift3d.vehicles.picture import shaded
-
     span_m = max(_SPAN_M, *(1.08 * float(mesh.extents.max()) for mesh in meshes))
     views = [shaded(mesh, at, 0.22, *_TILE_PX, span_m, rgb) for mesh, at, rgb in zip(meshes, towards, colours)]
     return pixels_png(np.concatenate(views, axis=1))

@@ -21,7 +21,7 @@ _PATIENCE = {
     "MLFLOW_ENABLE_TELEMETRY": "false",
     "MLFLOW_DISABLE_TELEMETRY": "true",
 }
-_MOST_METRICS, _MOST_PARAMS, _LONGEST_PARAM = 1000, 100, 500  # MLflow's own limits of one batch, and ours of a text
+_LONGEST_PARAM = 500
 
 
 @contextlib.contextmanager
@@ -68,6 +68,13 @@ def runs_of(client: MlflowClient, experiment_id: str, tag: str, value: str, most
     return list(client.search_runs([experiment_id], f"tags.`{tag}` = '{value}'", max_results=most))
 
 
+def run_of(client: MlflowClient, experiment_id: str, name: str, tag: str, value: str, **tags: str) -> Run:
+    """The run that has a tag; where there is none, a new one of that name, with the tag and more tags."""
+    for run in runs_of(client, experiment_id, tag, value, most=1):
+        return run
+    return client.create_run(experiment_id, run_name=name, tags={tag: value, **tags})
+
+
 def log(
     client: MlflowClient,
     run_id: str,
@@ -75,16 +82,13 @@ def log(
     at_ms: int,
     params: Mapping[str, str] | None = None,
 ) -> None:
-    """Metrics as (name, value, step), and params that the run does not have yet, in batches that MLflow takes."""
+    """Metrics as (name, value, step), and params that the run does not have yet."""
     from mlflow.entities import Metric, Param
 
     metrics = [Metric(metric_name(name), rounded(value), at_ms, step) for name, value, step in points]
-    for start in range(0, len(metrics), _MOST_METRICS):
-        client.log_batch(run_id, metrics=metrics[start : start + _MOST_METRICS])
     known = client.get_run(run_id).data.params if params else {}
     texts = [Param(name, value) for name, value in (params or {}).items() if name not in known]
-    for start in range(0, len(texts), _MOST_PARAMS):
-        client.log_batch(run_id, params=texts[start : start + _MOST_PARAMS])
+    client.log_batch(run_id, metrics, texts)
 
 
 def rounded(value: float) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, runs_of
+from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, run_of
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, machine_of, read_frontier
 
@@ -40,10 +40,8 @@ def mirror_measured(
             raise InputError(f"{missing[0]} is missing", str(folder), f"Write the report of the {kind} first")
         key = hashlib.blake2b((folder / files[0]).read_bytes(), digest_size=8).hexdigest()
         client = open_client(uri)
-        experiment_id = experiment_of(client, experiment)
-        found = runs_of(client, experiment_id, f"shift3d.{kind}", key, most=1)
-        tags = {f"shift3d.{kind}": key, "shift3d.folder": str(folder)}
-        run = found[0] if found else client.create_run(experiment_id, run_name=f"{kind}-{key}", tags=tags)
+        place = {"shift3d.folder": str(folder)}
+        run = run_of(client, experiment_of(client, experiment), f"{kind}-{key}", f"shift3d.{kind}", key, **place)
         points = [(name, value, 0) for name, value in metrics.items()]
         log(client, run.info.run_id, points, run.info.start_time, flat(params))
         for name in files:

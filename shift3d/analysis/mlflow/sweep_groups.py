@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ import pandas as pd
 
 from shift3d.analysis.mlflow.client import metric_name
 from shift3d.analysis.tables.budgets import budget_curves
-from shift3d.analysis.variants import SETTINGS, variants
+from shift3d.analysis.variants import SETTINGS, setting_text, variants
 
 MOST_GROUPS = 200
 """Groups that get a run of their own: beyond that, MLflow's lists show nothing to anybody."""
@@ -44,7 +44,7 @@ def groups(auc: pd.DataFrame, curves: pd.DataFrame) -> list[Group]:
 
     Args: auc, curves: ``final/auc.parquet`` and ``final/curves.parquet`` as frames.
     """
-    recalls = dict(_recalls(curves))
+    recalls = _recalls(curves)
     several = [name for name in _VARIANTS if auc[name].nunique(dropna=False) > 1]
     shown = auc.sort_values("selected", ascending=False, kind="stable").head(MOST_GROUPS)
     return [
@@ -64,7 +64,7 @@ def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], 
     Returns: ``auc/shape/coupe/adversarial`` and, of the mean, ``shape/adversarial`` to a number: a column of MLflow's
     list shows some twelve letters. ``recall/shape/adversarial`` to (101,), the mean over vehicles.
     """
-    recalls = dict(_recalls(curves))
+    recalls = _recalls(curves)
     values: dict[str, float] = {}
     mean_recalls: dict[str, Recall] = {}
     for variant in variants(auc):
@@ -94,21 +94,21 @@ def budget_points(auc: pd.DataFrame) -> list[tuple[str, float, int]]:
 
 def _mean(group: pd.DataFrame, recalls: Mapping[tuple[str, ...], Recall]) -> Recall | None:
     """The recall of one vehicle over its data sets, by their number of scores."""
-    found = [(recalls.get(_identity(row)), row["scores"]) for row in group.to_dict("records")]
-    known = [(recall, count) for recall, count in found if recall is not None]
+    counts = {_identity(row): row["scores"] for row in group.to_dict("records")}
+    known = [key for key in counts if key in recalls]
     if not known:
         return None
-    mean: Recall = np.average([recall for recall, _ in known], axis=0, weights=[count for _, count in known])
-    return mean
+    return np.asarray(np.average([recalls[key] for key in known], axis=0, weights=[counts[key] for key in known]))
 
 
-def _recalls(curves: pd.DataFrame) -> Iterator[tuple[tuple[str, ...], Recall]]:
+def _recalls(curves: pd.DataFrame) -> dict[tuple[str, ...], Recall]:
     """Each group's step function at whole percents: what holds on [t_i, t_i+1) is that of t_i."""
-    columns = [*_KEY, *_VARIANTS]
-    for key, curve in curves.groupby(columns, sort=False, dropna=False):
+    found = {}
+    for key, curve in curves.groupby([*_KEY, *_VARIANTS], sort=False, dropna=False):
         knots = curve["score_threshold"].to_numpy(dtype=np.float64)
         at = np.searchsorted(knots, _PERCENT, side="right") - 1
-        yield tuple(_text(part) for part in key), curve["recall"].to_numpy(dtype=np.float64)[np.maximum(at, 0)]
+        found[tuple(map(_text, key))] = curve["recall"].to_numpy(dtype=np.float64)[np.maximum(at, 0)]
+    return found
 
 
 def _identity(row: Mapping[str, Any]) -> tuple[str, ...]:
@@ -117,6 +117,4 @@ def _identity(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _text(value: Any) -> str:
     """A cell as text: a missing lambda (pose) is a dash."""
-    if value is None or value != value:
-        return "-"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return "-" if value is None or value != value else setting_text(value)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, runs_of
+from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, run_of
 from shift3d.progress_bar import write_line
-
-if TYPE_CHECKING:
-    from mlflow import MlflowClient
 
 
 class TrainingCurves:
@@ -54,16 +51,10 @@ class TrainingCurves:
     def _write(self) -> None:
         client = open_client(self.uri)
         if self._run_id is None:
-            self._run_id = self._run(client)
-            log(client, self._run_id, (), 0, self._params)
-        points = [(name, value, step) for step, values in self._pending for name, value in values.items()]
-        log(client, self._run_id, points, round(1000 * time.time()))
-        self._pending = []
-
-    def _run(self, client: MlflowClient) -> str:
-        experiment_id = experiment_of(client, self.experiment)
-        for run in runs_of(client, experiment_id, "shift3d.training", self.key, most=1):
+            experiment_id = experiment_of(client, self.experiment)
+            run = run_of(client, experiment_id, self.name, "shift3d.training", self.key)
             client.update_run(run.info.run_id, status="RUNNING")
-            return str(run.info.run_id)
-        tags = {"shift3d.training": self.key}
-        return str(client.create_run(experiment_id, run_name=self.name, tags=tags).info.run_id)
+            self._run_id = str(run.info.run_id)
+        points = [(name, value, step) for step, values in self._pending for name, value in values.items()]
+        log(client, self._run_id, points, round(1000 * time.time()), self._params)
+        self._pending = []

@@ -10,7 +10,7 @@ import pandas as pd
 from shift3d.analysis.results import natural_by_task
 from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_interval
 from shift3d.analysis.tables.paper import paper_table
-from shift3d.analysis.tables.table import Cell, Table, number
+from shift3d.analysis.tables.table import Cell, Table, between, number
 from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores, differing_settings
 from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
@@ -101,8 +101,8 @@ def _line(
     if not in_full:
         return [label, *values, mean, ratio]
     each = [_noted(value, own[own["vehicle"] == vehicle]) for value, vehicle in zip(values, vehicles)]
-    between = ratio_texts(own, baseline)[1]
-    return [label, *each, _noted(mean, own), (ratio, between) if between else ratio]
+    ends = ratio_texts(own, baseline)[1]
+    return [label, *each, _noted(mean, own), (ratio, ends) if ends else ratio]
 
 
 def with_baseline(rows: pd.DataFrame, method: str) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -115,10 +115,8 @@ def _noted(value: str, rows: pd.DataFrame) -> Cell:
     """An AUC with its interval and its number of scenes. rows: of one vehicle, or of all for the mean."""
     if rows.empty:
         return value
-    interval = vehicle_mean_interval(rows)
-    known = math.isfinite(interval.low)
-    between = f"[{interval.low:.3f}, {interval.high:.3f}]" if known else "no interval"
-    return value, between, counted(rows["place"].nunique(), "scene")
+    ends = between(vehicle_mean_interval(rows), 3) or "no interval"
+    return value, ends, counted(rows["place"].nunique(), "scene")
 
 
 def ratio_texts(rows: pd.DataFrame, baseline: pd.DataFrame) -> tuple[str, str]:
@@ -126,22 +124,21 @@ def ratio_texts(rows: pd.DataFrame, baseline: pd.DataFrame) -> tuple[str, str]:
     found = ratio_interval(rows, baseline)
     if found is None:
         return "-", ""
-    between = f"[{found.low:.2f}, {found.high:.2f}]" if 0 < found.high - found.low < math.inf else ""
-    return f"{found.mean:.2f}", between
+    return f"{found.mean:.2f}", between(found, 2) if 0 < found.high - found.low < math.inf else ""
 
 
 def natural_rows(variant: Variant) -> pd.DataFrame:
     """Rows of the tasks whose adversarial shape is natural; none where that was not measured."""
-    if "natural" not in variant.rows:
-        return variant.rows.iloc[:0]
+    if variant.rows.empty:
+        return variant.rows
     return variant.rows[variant.rows["natural"].eq(True)]
 
 
 def natural_sentence(variant: Variant) -> str | None:
     """How many adversarial shapes are natural, by vehicle; None where it was not measured."""
-    if variant.mode == "pose" or "natural" not in variant.rows or not variant.rows["natural"].notna().any():
-        return None
     tasks = variant.rows[variant.rows["natural"].notna()].drop_duplicates("task_id")
+    if variant.mode == "pose" or tasks.empty:
+        return None
     natural = tasks[tasks["natural"].eq(True)]
     each = [
         f"{name.replace('_', ' ')} {natural['vehicle'].eq(name).sum()} of {count}"

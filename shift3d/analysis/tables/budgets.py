@@ -68,7 +68,6 @@ def budget_table(found: Sequence[Variant]) -> Table | None:
 def _shapes(rows: pd.DataFrame) -> list[str]:
     """How many adversarial shapes are natural, and their median surface distance in cm."""
     own = rows[rows["method"] == "adversarial"].drop_duplicates("task_id")
-    judged = own[own["natural"].notna()] if "natural" in own else own.iloc[:0]
+    judged = own[own["natural"].notna()]
     natural = f"{int(judged['natural'].eq(True).sum())} of {len(judged)}" if len(judged) else "-"
-    apart = float(own["surface_distance_cm"].median()) if "surface_distance_cm" in own else math.nan
-    return [natural, "-" if math.isnan(apart) else f"{apart:.1f}"]
+    return [natural, number(own["surface_distance_cm"].median() if "surface_distance_cm" in own else None, 1)]

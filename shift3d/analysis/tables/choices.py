@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from pathlib import Path
 
@@ -17,15 +16,10 @@ _PAPER = Path(__file__).resolve().parents[1] / "measured" / "paper_choices.json"
 _OF = ("mode", "vehicle", "detector", "accuracy", "search", "effects", "alpha")
 
 
-@functools.cache
-def _paper() -> dict[str, dict[str, float]]:
-    found: dict[str, dict[str, float]] = json.loads(_PAPER.read_text(encoding="utf-8"))["chosen"]
-    return found
-
-
 def papers_choice(parameter: str, of: str) -> float | None:
     """What the paper chose for a mode (alpha) or a vehicle (lambda); None where it says nothing."""
-    return _paper()[parameter].get(of)
+    chosen: dict[str, dict[str, float]] = json.loads(_PAPER.read_text(encoding="utf-8"))["chosen"]
+    return chosen[parameter].get(of)
 
 
 def choice_tables(choices: pd.DataFrame) -> list[Table]:

@@ -24,22 +24,21 @@ from shift3d.wording import counted
 def sweep_report(sweep: Sweep) -> str:
     """AUCs, also by budget, natural shapes, shapes in other scenes, choices, what ran, its time and its accuracy."""
     parted = variants(sweep.auc, sweep.scored)
-    tables = [auc_table(variant) for variant in parted]
-    by_sensor, elsewhere = sensor_table(sweep.scores), transfer_table(sweep.transfers)
-    further = (budget_table(parted), by_sensor, natural_table(sweep.scores), elsewhere)
-    found = [table for table in further if table]
-    parts = [*tables, *found, *choice_tables(sweep.choices)]
-    return "\n\n".join(
-        [
-            *map(str, parts),
-            *(["\n".join(reasons(sweep.choices))] if len(sweep.choices) else []),
-            "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
-            str(stage_times(sweep.timings, sweep.scores)) if len(sweep.timings) else "no timings",
-            "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
-            f"{preset_table()}\n{legend(preset_meanings())}",
-            diagnostics(sweep.scores),
-        ]
-    )
+    parts = [
+        *(auc_table(variant) for variant in parted),
+        budget_table(parted),
+        sensor_table(sweep.scores),
+        natural_table(sweep.scores),
+        transfer_table(sweep.transfers),
+        *choice_tables(sweep.choices),
+        "\n".join(reasons(sweep.choices)),
+        "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
+        stage_times(sweep.timings, sweep.scores) if len(sweep.timings) else "no timings",
+        "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
+        f"{preset_table()}\n{legend(preset_meanings())}",
+        diagnostics(sweep.scores),
+    ]
+    return "\n\n".join(str(part) for part in parts if part)
 
 
 PAPER_STEPS = 40
@@ -121,7 +120,7 @@ def coverage_lines(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int, s
     left_out = attempts.loc[attempts["outcome"] == "not_loaded", "error"].drop_duplicates()
     lines += [f"  {error}" for error in left_out.head(shown)]
     if len(left_out) > shown:
-        lines.append(f"  and {len(left_out) - shown} more machines")
+        lines.append(f"  and {counted(len(left_out) - shown, 'more machine')}")
     return lines
 
 

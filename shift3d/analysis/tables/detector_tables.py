@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
 
 from shift3d.analysis.tables.table import Table, number
 from shift3d.evaluation.breakdown import BreakdownRow
+from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.evaluation.metrics import RANGES_M, Metric
+from shift3d.evaluation.vehicles import ERRORS, VehicleRows
 from shift3d.store.evaluation_tables import evaluation_table
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from shift3d.evaluation.frames import DetectedFrame, Found, Truth
-    from shift3d.evaluation.vehicles import VehicleRows
-    from shift3d.training.detector.detect_scenes import Answer
+from shift3d.training.detector.detect_scenes import Answer
 
 _MEASURES = (
     ("AP", "BEV", "BEV AP"),
@@ -151,10 +150,6 @@ def breakdown_tables(
     groups: Sequence[BreakdownRow],
 ) -> dict[str, pa.Table]:
     """The tables of vehicles and of groups by name."""
-    import numpy as np
-
-    from shift3d.evaluation.vehicles import ERRORS
-
     run = {"detector": detector, "dataset": dataset}
     matched = np.isfinite(vehicles.score).tolist()
     names = ("row", "range_m", "num_points", "score", "iou_bev", "iou_3d")
@@ -185,8 +180,6 @@ def _values(metric: Metric, num_scenes: int) -> list[dict[str, object]]:
 
 def _joined(parts: Sequence[object], *names: str) -> dict[str, Any]:
     """Arrays of some parts end to end, by their names."""
-    import numpy as np
-
     return {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
 
 

@@ -155,6 +155,5 @@ def write_impact(path: Path, sweep: str, impacts: list[EffectImpact]) -> Path:
         }
         for impact in impacts
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, (json.dumps({"sweep": sweep, "bound": IMPACT_BOUND, "effects": rows}, indent=2) + "\n").encode())
     return path

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,10 +102,7 @@ class Comparison:
 
 
 def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[str, float], rule: Rule) -> Comparison:
-    """Compare scores by object_id.
-
-    objects: of the suite.
-    """
+    """Compare scores by object_id. objects: of the suite."""
     rows = objects[["object_id", "role", "task_id", "method", "vehicle", "scene", "dataset", "mode"]].copy()
     rows["range_m"] = np.hypot(objects["x_m"], objects["y_m"])
     rows["object_points"] = objects["object_points"]
@@ -114,20 +112,17 @@ def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[s
         rows[name] > rule.score_threshold for name in ("score_before", "score")
     )
     places = list(places_of(rows))
-    roles = [role for role in _ROLES if (rows["role"] == role).any()]
-    groups = [(rows["role"] == role).to_numpy() for role in roles]
+    groups = {role: own.to_numpy() for role in _ROLES if (own := rows["role"] == role).any()}
     scores = rows["score_before"].to_numpy(), rows["score"].to_numpy()
-    differences = measured_differences(*scores, groups, rule.score_threshold)
+    differences = measured_differences(*scores, list(groups.values()), rule.score_threshold)
     p_values = flip_p_values(scene_sums(differences, places))
     measures = []
-    for column, (role, name) in enumerate((role, name) for role in roles for name in MEASURES):
-        own = groups[column // len(MEASURES)]
+    for column, ((role, own), name) in enumerate(itertools.product(groups.items(), MEASURES)):
         values = [part > rule.score_threshold if name == MEASURES[0] else part for part in scores]
         change = mean_interval(differences[own, column], [place for place, taken in zip(places, own) if taken])
-        means = [float(part[own].mean()) for part in values]
-        p_value = p_values[column]
-        stops = bool(rule.stops(np.array(change.mean), p_value))
-        measures.append(Measure(role, name, means[0], means[1], change, float(p_value), stops))
+        old, new = (float(part[own].mean()) for part in values)
+        stops = bool(rule.stops(np.array(change.mean), p_values[column]))
+        measures.append(Measure(role, name, old, new, change, float(p_values[column]), stops))
     rows["lost"] = rows["detected_before"] & ~rows["detected"]
     ordered = rows.sort_values(["lost", "change", "object_id"], ascending=[False, True, True], kind="stable")
     return Comparison(ordered.drop(columns="lost").reset_index(drop=True), tuple(measures), rule)
@@ -196,7 +191,7 @@ def simulated_rates(found: Comparison) -> list[Rates]:
     return [stopped_releases(scores, hard, places, noise, _LOSS, found.rule) for noise in _NOISES]
 
 
-def simulation_table(rates: list[Rates]) -> Table:
+def simulation_table(rates: Sequence[Rates]) -> Table:
     """Of `simulated_rates`."""
     lines = [
         [

@@ -14,7 +14,6 @@ from shift3d.analysis.variants import differing_settings, search_label
 from shift3d.evaluation.failure_rules import aspect_deg
 
 _GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings"]
-_KEY = ["task_id"]
 NAMES = {
     "length_cm": ("length", "cm", 0),
     "width_cm": ("width", "cm", 0),
@@ -82,17 +81,13 @@ def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[s
     if "effects" in scores:  # meshes know nothing of them
         effects = scores.drop_duplicates("task_id").set_index("task_id")["effects"]
         patterns = patterns.assign(effects=[effects.get(task, ()) for task in patterns["task_id"]])
-    for rows, changes, names in (
-        (patterns, _shape_changes, NAMES),
-        (own[own["mode"] != "shape"], _pose_changes, _POSE),
-    ):
+    for rows, changes in ((patterns, _shape_changes), (own[own["mode"] != "shape"], _pose_changes)):
         rows = rows.assign(settings=differing_settings(rows, ("accuracy", "effects")))
         for key, group in rows.groupby(_GROUP, sort=False, dropna=False):
-            both = [group[group["method"] == method].set_index(_KEY) for method in ("baseline", "adversarial")]
+            both = [group[group["method"] == method].set_index("task_id") for method in ("baseline", "adversarial")]
             before, after = (part.loc[both[0].index.intersection(both[1].index)] for part in both)
             if len(before):
-                values = changes(before, after)
-                found.setdefault(search_label(*key), []).extend(_patterns(values, names, places_of(before)))
+                found.setdefault(search_label(*key), []).extend(_patterns(changes(before, after), places_of(before)))
     return list(found.items())
 
 
@@ -121,20 +116,17 @@ def _pose_changes(before: pd.DataFrame, after: pd.DataFrame) -> Changes:
     }
 
 
-def _patterns(changes: Changes, names: dict[str, tuple[str, str, int]], places: pd.Series) -> list[Pattern]:
+def _patterns(changes: Changes, places: pd.Series) -> list[Pattern]:
     found = []
     for field, (before, change) in changes.items():
-        known = change.notna()
-        if known.any():
-            name, unit, digits = names[field]
-            values = change[known]
-            fell, rose = (float((sign * values >= _SHOWN_RATIO[unit]).mean()) for sign in (-1, 1))
-            interval = mean_interval(values, list(places[known]))
-            size = float(values.abs().mean())
-            mean = float(before[known].mean())
-            found.append(
-                Pattern(name, unit, digits, mean, interval, size, fell, rose, int(known.sum()), places[known].nunique())
-            )
+        values = change.dropna()
+        if values.empty:
+            continue
+        name, unit, digits = (NAMES | _POSE)[field]
+        mean, size, where = float(before[values.index].mean()), float(values.abs().mean()), places[values.index]
+        fell, rose = (float((sign * values >= _SHOWN_RATIO[unit]).mean()) for sign in (-1, 1))
+        interval = mean_interval(values, list(where))
+        found.append(Pattern(name, unit, digits, mean, interval, size, fell, rose, len(values), where.nunique()))
     return found
 
 

@@ -45,14 +45,10 @@ def pool_table(pool: pd.DataFrame) -> Table:
 
 def _pool_line(name: str, rows: pd.DataFrame) -> list[str]:
     usable = sum(not len(flags) for flags in rows["flags"])
-    known = rows["shape_error_cm"].dropna()
-    errors = ["-", "-", "-"]
-    if len(known):
-        errors = [number(known.median(), 1), number(known.quantile(0.9), 1)]
-        errors.append(number(rows["mean_shape_error_cm"].median(), 1))
-    residual = number(rows["residual_cm"].median(), 1) if len(rows) else "-"
-    score = number(rows["score"].mean(), 2) if len(rows) else "-"
-    return [name, str(len(rows)), str(usable), residual, *errors, score]
+    error = rows["shape_error_cm"]
+    errors = [error.median(), error.quantile(0.9), rows["mean_shape_error_cm"].median()]
+    centimetres = [number(value, 1) for value in (rows["residual_cm"].median(), *errors)]
+    return [name, str(len(rows)), str(usable), *centimetres, number(rows["score"].mean(), 2)]
 
 
 def kept(retrieved: pd.DataFrame) -> pd.DataFrame:

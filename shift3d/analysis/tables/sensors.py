@@ -26,11 +26,10 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
     lines = []
     for (*search, scored_by), rows in placed.groupby(_TRANSFER_GROUP, sort=False, dropna=False):
         before = rows.assign(score=rows["score_baseline"])
-        after, fell = _vehicle_mean(rows), mean_interval(rows["score"] < rows["score_baseline"], list(rows["place"]))
-        ratio = ratio_interval(rows, before)
         counts = [str(len(rows)), str(rows["place"].nunique())]
-        means = [number(_vehicle_mean(before)), number(after), interval_text(ratio, 2, "")]
-        lines.append([search_label(*search), scored_by, *counts, *means, f"{fell.mean:.0%}"])
+        means = [number(_vehicle_mean(part)) for part in (before, rows)]
+        ratio, fell = interval_text(ratio_interval(rows, before), 2, ""), rows["score"] < rows["score_baseline"]
+        lines.append([search_label(*search), scored_by, *counts, *means, ratio, f"{fell.mean():.0%}"])
     header = ["", "scored by", "placements", "scenes", "baseline", "shape", "ratio", "lower in"]
     return Table("The shapes in scenes that they were not searched in", header, lines)
 

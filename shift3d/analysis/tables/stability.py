@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import pandas as pd
 
@@ -55,13 +53,10 @@ def stability_table(verification: pd.DataFrame) -> Table:
 def unstable_lines(verification: pd.DataFrame, shown: int | None = None) -> list[str]:
     """What is unstable and why, a line a solution. shown: at most so many, and how many more there are."""
     unstable = verification[~verification["stable"]]
-    lines = [_unstable(row) for row in unstable.head(len(unstable) if shown is None else shown).to_dict("records")]
+    lines = [
+        f"{row.task_id}  {row.vehicle} {row.scene} {row.method} {row.replicate}: {row.score:.3f}, "
+        f"reference {row.score_reference:.3f}; {row.cause}"
+        for row in unstable.head(len(unstable) if shown is None else shown).itertuples()
+    ]
     left = len(unstable) - len(lines)
     return [*lines, f"and {left} more in verification.parquet"] if left else lines
-
-
-def _unstable(row: Mapping[str, Any]) -> str:
-    return (
-        f"{row['task_id']}  {row['vehicle']} {row['scene']} {row['method']} {row['replicate']}: {row['score']:.3f}, "
-        f"reference {row['score_reference']:.3f}; {row['cause']}"
-    )

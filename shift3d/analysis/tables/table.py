@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from shift3d.analysis.statistics.intervals import Interval
+from shift3d.analysis.statistics.intervals import Interval
 
 _UNITS_M = ((1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"), (1e-9, "nm"))
 
@@ -18,26 +16,24 @@ def length(metres: float) -> str:
     if abs(metres) < 1e-12:
         return "0"
     scale, unit = next((pair for pair in _UNITS_M if abs(metres) >= 0.9995 * pair[0]), _UNITS_M[-1])
-    return f"{_digits(metres / scale)} {unit}"
+    return f"{factor(metres / scale)} {unit}"
 
 
 def milliseconds(value: float) -> str:
     """812.3 as "812 ms", 5310 as "5.31 s"."""
-    return f"{_digits(value / 1000)} s" if value >= 999.5 else f"{_digits(value)} ms"
+    return f"{factor(value / 1000)} s" if value >= 999.5 else f"{factor(value)} ms"
 
 
 def share(fraction: float) -> str:
     """0.00031 as "0.031 %"; 0 as "0"."""
-    return "0" if fraction == 0 else f"{_digits(100 * fraction)} %"
+    return "0" if fraction == 0 else f"{factor(100 * fraction)} %"
 
 
-def factor(ratio: float) -> str:
-    """387.2 as "387", 1.2345 as "1.23", 12345 as "12,300"."""
-    return _digits(ratio)
+def factor(value: float) -> str:
+    """387.2 as "387", 1.2345 as "1.23", 12345 as "12,300".
 
-
-def _digits(value: float) -> str:
-    """Three significant digits, no trailing zeros, no exponent above a millionth, thousands apart."""
+    Three significant digits, no trailing zeros, no exponent above a millionth, thousands apart.
+    """
     if value == 0:
         return "0"
     decimals = 2 - math.floor(math.log10(abs(value)))
@@ -76,14 +72,19 @@ def _plain(cell: Cell) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """0.5 as "0.500", None as "-"."""
-    return "-" if value is None else f"{value:.{digits}f}"
+    """0.5 as "0.500", None and NaN as "-"."""
+    return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
+
+
+def between(interval: Interval, digits: int, sign: str = "") -> str:
+    """An interval's ends: "[-0.20, -0.03]"; nothing where it is infinite, of a single scene. sign: "+" shows each."""
+    if math.isinf(interval.low):
+        return ""
+    return f"[{interval.low:{sign}.{digits}f}, {interval.high:{sign}.{digits}f}]"
 
 
 def interval_text(interval: Interval | None, digits: int, sign: str = "+") -> str:
     """A difference with its interval: "-0.12 [-0.20, -0.03]"; None as "-". sign: "" for what is no difference."""
     if interval is None:
         return "-"
-    if math.isinf(interval.low):
-        return f"{interval.mean:{sign}.{digits}f} (one scene)"
-    return f"{interval.mean:{sign}.{digits}f} [{interval.low:{sign}.{digits}f}, {interval.high:{sign}.{digits}f}]"
+    return f"{interval.mean:{sign}.{digits}f} {between(interval, digits, sign) or '(one scene)'}"

@@ -57,14 +57,10 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.processor import configure_runtime
 
     configure_runtime()
-    import torch
-
-    from shift3d.analysis.mlflow.store_uri import check_tracking
-
-    torch.set_num_threads(1)
     words = [re.sub(r"^kitti=", "frontier.kitti=", word) for word in arguments.words]
     out, words = take_folders("out", words)
     config = _config(words)

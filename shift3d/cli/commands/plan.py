@@ -13,7 +13,6 @@ from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.settings.schema.config import Config
-    from shift3d.store.location import Location
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
 
@@ -47,13 +46,13 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places: bool = False) -> int:
-    """Print what a sweep of a kind of task would run. given: the words of the command. tasks: list each of them.
+    """Print what a sweep of a kind of task would run. sweep_words: those of the command. tasks: list each of them.
 
     places: count those of each scene.
 
     Raises: InputError: the sweep itself would be refused.
     """
-    from shift3d.analysis.forecast.expected import expected_lines
+    from shift3d.analysis.forecast import expected_lines
     from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.planning.folder import check_folder, default_folder
@@ -76,7 +75,8 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
     if folder:
         check_folder(folder, plan)
     print(expected_lines(plan, folder, request.reuse, timings, config.runner))
-    print(_where(plan, folder))
+    unnamed = f"outputs/{plan.sweep}-HASH, by what its scenes hold: --tasks makes them and names it"
+    print(f"would write to {folder or unnamed}")
     for line in plan_lines(plan) if tasks else ():
         print(line)
     if places:
@@ -99,12 +99,6 @@ def show_places(plan: Plan, config: Config, most: int = 20) -> None:
         print(line, flush=True)
     if others := len(plan.tasks.scenes()) - len(names):
         print(f"  not counted: {counted(others, 'scene')} of other sets of an axis; give one set with scenes.KEY=VALUE")
-
-
-def _where(plan: Plan, folder: Location | None) -> str:
-    if folder:
-        return f"would write to {folder}"
-    return f"would write to outputs/{plan.sweep}-HASH, by what its scenes hold: --tasks makes them and names it"
 
 
 COMMAND = Command(

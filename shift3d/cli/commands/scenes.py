@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command
+from shift3d.cli.command import Command, take_words
 from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 from shift3d.wording import counted
@@ -47,8 +47,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if action not in _ACTIONS:
         what = f"cannot read {action!r}" if action else "nothing is asked for"
         raise InputError(what, "scenes", f"Give one of: {', '.join(_ACTIONS)}")
-    out = [word.partition("=")[2] for word in words if word.startswith("out=")]
-    config = _config([word for word in words if not word.startswith("out=")])
+    out, settings = take_words("out", words)
+    config = _config(settings)
     if action == "list":
         if out:
             raise InputError("out= means nothing for list", "scenes", "Leave it out, or use show")
@@ -64,7 +64,7 @@ def _config(words: Sequence[str]) -> Config:
     if foreign:
         one_of = "One of: scenes=, scenes.SETTING=, scene=, out=, attack.placement.SETTING="
         raise InputError(f"cannot read {foreign[0]!r}", "scenes", one_of)
-    composed = compose_sweep(_SWEEP, list(words))
+    composed = compose_sweep(_SWEEP, words)
     for axis in composed.axes:
         if axis.key.startswith("scene") or axis.key.startswith("attack.placement"):
             raise InputError(f"{axis.key} has several values", "scenes", "Give it one; lists stand in brackets: [a,b]")

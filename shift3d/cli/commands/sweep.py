@@ -80,7 +80,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
-    from shift3d.analysis.forecast.expected import expected, limit_line
+    from shift3d.analysis.forecast import expected, limit_line
     from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.drive import run_single, run_sweep

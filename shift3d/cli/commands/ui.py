@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from pathlib import Path
 
 from shift3d.cli.command import Command
@@ -26,10 +27,8 @@ def _run(arguments: argparse.Namespace) -> int:
     with open_port(arguments.port) as listening:
         port = listening.getsockname()[1]
         print(f"MLflow on http://{HOST}:{port}, in some seconds (Ctrl-C ends it)", flush=True)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             serve(arguments.uri, listening)
-        except KeyboardInterrupt:
-            return 0
     return 0
 
 

@@ -70,7 +70,9 @@ def test_advice_without_presets_without_paper_and_on_two_scene_sets() -> None:
 
 
 def test_the_table_has_the_fastest_first_and_no_column_that_nothing_was_measured_for() -> None:
-    lines = frontier_lines(frame_of(small_rows())).splitlines()
+    table, legend = frontier_lines(frame_of(small_rows())).split("\n\n")
+    lines = table.splitlines()
+    assert legend.startswith("time: of one rendering, median; x paper: ")
     assert [line[:14].strip() for line in lines[3:]] == [
         *("standard, warm", "draft", "standard", "march 0.4 m", "march 0.2 m", "march 0.1 m", "paper", "reference"),
     ]

@@ -11,7 +11,7 @@ import pytest
 from scripts.shipped import measured_parts
 from valid_sweeps import catalogue, plan, write_sweep
 
-from shift3d.analysis.forecast.expected import TaskParts, expected, expected_lines, limit_line, shipped_parts
+from shift3d.analysis.forecast import TaskParts, expected, expected_lines, limit_line, shipped_parts
 from shift3d.cli.main import main
 from shift3d.effects.applicability import measured_impact
 from shift3d.errors import InputError

@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import valid_sweeps
-from analysed import variant
+from analysed import blocks_html, variant
 
-from shift3d.analysis.html.document import blocks_html
 from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import transfer_grid
 from shift3d.analysis.results import Sweep, read_sweep
@@ -183,7 +182,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
 
 def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -> None:
     found = variants(sweep.auc, sweep.scored)
-    assert "No shape was put into another scene" in blocks_html(transfer_grid(sweep, found).blocks)
+    assert "No shape was put into another scene" in blocks_html(transfer_grid(sweep, found))
     row = found[0].rows.iloc[0]
     group: dict[str, Any] = {name: row[name] for name in ("sweep", "dataset", "vehicle", "mode", "lambda", "alpha",
                                                           "detector", "accuracy", "search", "effects",
@@ -195,5 +194,5 @@ def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -
         values |= {"mean_score": 0.5 if filled else None, "mean_reduction": 0.4 if filled else None}
         cells.append({**group, "method": "adversarial", "cell_x_m": x, "cell_y_m": 0.0, "cell_size_m": 10.0, **values})
     grid = table_from_rows("bev_transfer", cells).to_pandas()
-    shown = blocks_html(transfer_grid(dataclasses.replace(sweep, bev_transfer=grid), found).blocks)
+    shown = blocks_html(transfer_grid(dataclasses.replace(sweep, bev_transfer=grid), found))
     assert "falls in 1 of 1 cells of 10 m" in shown and '"x-thin"' in shown and "+0.400" in shown

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import valid_sweeps
+from analysed import blocks_html
 
-from shift3d.analysis.html.document import blocks_html
 from shift3d.analysis.html.sections.paths import case_path, mean_path, paths
 from shift3d.analysis.results import read_sweep
 from shift3d.analysis.variants import variants
@@ -75,7 +75,7 @@ def test_folders_with_and_without_paths(tmp_path: Path) -> None:
     (old / "final" / "trajectories.parquet").unlink()
     for folder, message in ((old, "kept no scores along the steps"), (new, "0.900 → 0.400 in 2 steps")):
         sweep = read_sweep(folder)
-        shown = blocks_html(paths(sweep, variants(sweep.auc, sweep.scored)).blocks)
+        shown = blocks_html(paths(sweep, variants(sweep.auc, sweep.scored)))
         assert message in shown
     other = [dataclasses.replace(variant, scored_by="sst") for variant in variants(sweep.auc, sweep.scored)]
-    assert "kept no scores" in blocks_html(paths(sweep, other).blocks)
+    assert "kept no scores" in blocks_html(paths(sweep, other))

@@ -90,6 +90,7 @@ def test_what_was_searched_under_other_effects_or_accuracies_has_a_line_of_its_o
         ("standard", "0.500"),
         ("fast", "0.700"),
     ]
+    assert [dict(zip(table.header, line))["controls"] for line in table.lines] == ["-", "-"], "there are none"
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import valid_sweeps
+from analysed import blocks_html
 
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Section
-from shift3d.analysis.html.document import blocks_html, document
+from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import DASHES, plot
 from shift3d.analysis.html.report import write_report
 from shift3d.analysis.tables.table import Table

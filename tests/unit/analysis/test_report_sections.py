@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import trimesh
-from analysed import two_vehicles, variant
+from analysed import blocks_html, two_vehicles, variant
 
 from shift3d.analysis.cases.chosen import Case, hardest, random_positions
 from shift3d.analysis.cases.rendered import Loaded, Rendered
-from shift3d.analysis.html.document import blocks_html
 from shift3d.analysis.html.sections.auc import auc_blocks, differences
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
 from shift3d.analysis.html.sections.cases import what_changed
@@ -26,6 +25,7 @@ from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.paired import paired
 from shift3d.analysis.tables.auc import auc_table
+from shift3d.analysis.tables.coverage import coverage_lines
 from shift3d.analysis.variants import variants
 
 
@@ -78,8 +78,7 @@ def test_the_gallery_draws_over_all_tasks_whatever_became_of_them(finished: Path
     own = scores["task_id"] == lost
     scores.loc[own, "score"], scores.loc[own, "status"] = np.nan, "no_placement"
     scores.loc[(scores["task_id"] == stayed) & (scores["method"] == "adversarial"), "status"] = "no_valid_step"
-    section = gallery(dataclasses.replace(sweep, scores=scores), Loaded(sweep.plan))
-    shown = blocks_html(section.blocks)
+    shown = blocks_html(gallery(dataclasses.replace(sweep, scores=scores), Loaded(sweep.plan)))
     assert shown.count("<figure>") == 2 and "no placement" in shown and ", no valid step<" in shown
     assert "All 2 tasks" in shown and "0.90 → 0.30" in shown
 
@@ -101,16 +100,16 @@ def test_differences_are_paired_by_task_and_tested_by_scene() -> None:
     assert result.interval.mean == pytest.approx(-0.5 * base.mean())
     assert result.p_value == pytest.approx(2 / 2**12)  # every scene falls: the least that 12 scenes can give
     assert paired(found.rows, "random", "baseline") is None
-    shown = blocks_html(differences([found]).blocks)
+    shown = blocks_html(differences([found]))
     assert f"{-0.5 * base.mean():+.3f}" in shown and "4.9e-04" in shown and "<td>0.001</td>" in shown
 
 
 def test_curves_have_a_panel_a_vehicle_and_one_of_all_with_bands() -> None:
-    shown = blocks_html(curves([two_vehicles()]).blocks)
+    shown = blocks_html(curves([two_vehicles()]))
     assert shown.count('class="plot"') == 3 and shown.count("tonexty") == 6
     assert "all vehicles: 12 scenes, 24 tasks" in shown and "no band" not in shown
     one = curves([variant({("baseline", "suv"): [0.9], ("adversarial", "suv"): [0.1]})])
-    assert "no band" in blocks_html(one.blocks)
+    assert "no band" in blocks_html(one)
 
 
 def test_cells_pool_vehicles_by_their_scores(finished: Path) -> None:
@@ -123,9 +122,9 @@ def test_cells_pool_vehicles_by_their_scores(finished: Path) -> None:
     own = cells.iloc[0]
     expected = (own["scores"] * own["mean_reduction"] - 0.6) / (own["scores"] + 3)
     assert pooled["mean_reduction"].iloc[0] == pytest.approx(expected)
-    assert "1 cells of 10 m" in blocks_html(bev(grid, [found]).blocks)
+    assert "1 cells of 10 m" in blocks_html(bev(grid, [found]))
     empty = dataclasses.replace(sweep, bev=sweep.bev.iloc[:0])
-    assert "there is no grid" in blocks_html(bev(empty, [found]).blocks)
+    assert "there is no grid" in blocks_html(bev(empty, [found]))
 
 
 def test_the_hardest_are_of_other_vehicles_and_scenes_first() -> None:
@@ -164,7 +163,7 @@ def test_what_is_unstable_is_counted_and_named(finished: Path) -> None:
         | {"score_reference": 0.3 if index else 0.55, "stable": index > 0, "cause": "of <300> hits 9 missed"}
         for index in range(4)
     ]
-    shown = blocks_html(stability(dataclasses.replace(sweep, verification=pd.DataFrame(rows))).blocks)
+    shown = blocks_html(stability(dataclasses.replace(sweep, verification=pd.DataFrame(rows))))
     assert "<td>4</td><td>1</td><td>75.0%</td><td>2.5e-01</td><td>100%</td><td>50%</td>" in shown
     assert shown.count("of &lt;300&gt; hits 9 missed") == 1 and "task0" in shown
 
@@ -177,7 +176,7 @@ def test_failures_are_counted_and_named(finished: Path) -> None:
     attempts = sweep.attempts.assign(outcome="done", quarantined=False, error=None).astype({"error": object})
     attempts.loc[attempts["task_id"] == lost, list(failed)] = list(failed.values())
     found = dataclasses.replace(sweep, scores=scores, attempts=attempts.drop_duplicates("task_id"))
-    shown = blocks_html(coverage(found).blocks)
+    shown = blocks_html(coverage(found))
     assert "1 of 2 tasks scored" in shown and "1 quarantined" in shown
     assert f"{lost}  ValueError: &lt;no&gt;" in shown and "Nothing failed" not in shown
 
@@ -189,7 +188,7 @@ def test_a_call_that_was_lost_counts_once_however_many_tasks_it_held(finished: P
     )
     again = lost.head(1).assign(attempt=2, started_unix_s=2e9)
     assert len(lost) == 2
-    shown = blocks_html(coverage(dataclasses.replace(sweep, attempts=pd.concat([lost, again]))).blocks)
+    shown = blocks_html(coverage(dataclasses.replace(sweep, attempts=pd.concat([lost, again]))))
     assert "2 attempts failed, in 120 s" in shown
 
 
@@ -198,8 +197,10 @@ def test_a_machine_that_was_left_out_is_named_once(finished: Path) -> None:
     line = "host-a is left out: /data: no such folder. Mount it"
     unloaded = sweep.attempts.drop_duplicates("task_id").assign(outcome="not_loaded", error=line, worker="host-a:1")
     attempts = pd.concat([unloaded, sweep.attempts])
-    shown = blocks_html(coverage(dataclasses.replace(sweep, attempts=attempts)).blocks)
+    shown = blocks_html(coverage(dataclasses.replace(sweep, attempts=attempts)))
     assert shown.count(line) == 1 and "Nothing failed" not in shown
+    many = pd.concat([unloaded.head(1).assign(error=f"host-{number} is left out") for number in range(6)])
+    assert coverage_lines(sweep.scores, many, 2, shown=5)[-1] == "  and 1 more machine"
 
 
 @pytest.mark.parametrize("mode", ["shape", "pose", "shape_pose"])

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Section, Terms, folded
+from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Terms, folded, missing
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.statistics.paired import Paired, holm, paired
 from shift3d.analysis.tables.auc import auc_table, natural_sentence, natural_table
 from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.tables.sensors import sensor_table
-from shift3d.analysis.tables.table import Table
+from shift3d.analysis.tables.table import Table, between
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
@@ -24,10 +23,10 @@ _LEAD = (
 )
 
 
-def sensors(sweep: Sweep) -> Section | None:
-    """The section; None where a sweep has the beams of one sensor alone."""
+def sensors(sweep: Sweep) -> list[Block]:
+    """The section; nothing where a sweep has the beams of one sensor alone."""
     table = sensor_table(sweep.scores)
-    return None if table is None else Section("sensors", "Sensor or detector", [Paragraph(_LEAD), table])
+    return [Paragraph(_LEAD), table] if table else []
 
 
 _SHOWN = 4  # variants whose tables are in sight; those of the others unfold
@@ -43,17 +42,16 @@ _MEANINGS = {
 }
 
 
-def auc(sweep: Sweep, found: Sequence[Variant]) -> Section:
+def auc(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     """The section: a table a variant."""
-    title = "Area under the curve"
     if not any(len(variant.rows) for variant in found):
-        return Section("auc", title, [Paragraph("No task has a score.", "missing")])
+        return [missing("No task has a score.")]
     lead = Paragraph("Lower means that the detector misses more of these vehicles.")
     parts = [(f"AUC: {variant.label}", auc_blocks(variant)) for variant in found]
     by_lambda = natural_table(sweep.scores)
     folds: list[Block] = [Fold("Natural shapes by lambda", [by_lambda])] if by_lambda else []
     folds.append(Fold("What the rows and columns mean", [Terms(_MEANINGS)]))
-    return Section("auc", title, [lead, *folded(parts, _SHOWN), *folds])
+    return [lead, *folded(parts, _SHOWN), *folds]
 
 
 def auc_blocks(variant: Variant) -> list[Block]:
@@ -63,7 +61,7 @@ def auc_blocks(variant: Variant) -> list[Block]:
         blocks.append(Paragraph(natural))
     paper = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search)
     if not paper or not set(variant.vehicles) & {name for row in paper.aucs.by_method.values() for name in row}:
-        blocks.append(Paragraph(f"The paper has no table of these vehicles for {variant.label}.", "missing"))
+        blocks.append(missing(f"The paper has no table of these vehicles for {variant.label}."))
     return blocks
 
 
@@ -82,13 +80,11 @@ _PAIRED_LEAD = (
 )
 
 
-def differences(found: Sequence[Variant]) -> Section:
+def differences(found: Sequence[Variant]) -> list[Block]:
     """The section: a table a variant, folded."""
     tables = [(variant, table) for variant in found if (table := _differences_table(variant))]
     folds: list[Block] = [Fold(f"Paired differences: {variant.label}", [table]) for variant, table in tables]
-    if not folds:
-        folds = [Paragraph("No task has the scores of two methods.", "missing")]
-    return Section("differences", "Paired differences", [Paragraph(_PAIRED_LEAD), *folds])
+    return [Paragraph(_PAIRED_LEAD), *(folds or [missing("No task has the scores of two methods.")])]
 
 
 def _differences_table(variant: Variant) -> Table | None:
@@ -107,13 +103,11 @@ def _differences_table(variant: Variant) -> Table | None:
 
 
 def _line(pair: tuple[str, str], vehicle: str, result: Paired, corrected: float | None) -> list[str]:
-    interval = result.interval
-    known = math.isfinite(interval.low)
-    between = f"[{interval.low:+.3f}, {interval.high:+.3f}]" if known else "one scene: none"
-    counts = [str(result.scenes), str(result.tasks)]
     compared = f"{METHODS[pair[0]]} - {METHODS[pair[1]]}"
+    ends = between(result.interval, 3, "+") or "one scene: none"
+    counts = [str(result.scenes), str(result.tasks)]
     tests = [_p_value(result.p_value), _p_value(corrected)]
-    return [compared, vehicle, f"{interval.mean:+.3f}", between, *counts, *tests]
+    return [compared, vehicle, f"{result.interval.mean:+.3f}", ends, *counts, *tests]
 
 
 def _p_value(value: float | None) -> str:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, Section
-from shift3d.analysis.html.figure import axis, plot
+from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, missing
+from shift3d.analysis.html.figure import axis, marks, plot
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import Table
@@ -17,8 +17,9 @@ from shift3d.analysis.variants import Variant
 from shift3d.store.schemas import GROUP_COLUMNS
 
 _SHOWN = 2  # grids in sight; the others fold
-EGO_M = (4.8, 2.0)
-"""Length and width of the ego vehicle as it is drawn around the sensor, metres: a usual car's."""
+_SIDES_M = {"x0": -2.4, "x1": 2.4, "y0": -1.0, "y1": 1.0}
+_EGO = {"type": "rect", **_SIDES_M, "line": {"color": "#2f8fc9", "width": 2}, "fillcolor": "#2f8fc9"}
+"""The ego vehicle as it is drawn around the sensor: as large as a usual car."""
 _LEAD = (
     "Mean reduction of the score, baseline minus adversarial, over all vehicles, by where the baseline stood. Sensor "
     "frame seen from above: x forward, to the right of the picture. Cells with a cross had no placement. The rectangle "
@@ -30,25 +31,23 @@ _TRANSFER_LEAD = (
 )
 
 
-def bev(sweep: Sweep, found: Sequence[Variant]) -> Section:
+def bev(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     """The section: a grid a variant, the later ones folded."""
     nothing = "No adversarial vehicle was scored: there is no grid."
-    return Section("bev", "Where the score falls", _grids(sweep.bev, found, "bev", _LEAD, nothing))
+    return _grids(sweep.bev, found, "bev", _LEAD, nothing)
 
 
-def transfer_grid(sweep: Sweep, found: Sequence[Variant]) -> Section:
+def transfer_grid(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     """The section: what shapes do in scenes and at places that they were not made for."""
     nothing = "No shape was put into another scene by this sweep."
-    blocks = _grids(sweep.bev_transfer, found, "transfer", _TRANSFER_LEAD, nothing)
-    if (table := transfer_table(sweep.transfers)) is not None:
-        blocks = [*blocks, table]
-    return Section("transfer", "In other scenes, at other places", blocks)
+    table = transfer_table(sweep.transfers)
+    return [*_grids(sweep.bev_transfer, found, "transfer", _TRANSFER_LEAD, nothing), *([table] if table else [])]
 
 
 def _grids(grid: pd.DataFrame, found: Sequence[Variant], key: str, lead: str, nothing: str) -> list[Block]:
     grids = [(variant, cells) for variant in found if len(cells := pooled_cells(grid, variant))]
     if not grids:
-        return [Paragraph(nothing, "missing")]
+        return [missing(nothing)]
     drawn = [_plot(variant, cells, key) for variant, cells in grids]
     folds = [Fold(f"Grid: {variant.label}", [part]) for (variant, _), part in zip(grids[_SHOWN:], drawn[_SHOWN:])]
     tables = Fold("The same as tables", [_table(variant, cells) for variant, cells in grids])
@@ -74,7 +73,7 @@ def _plot(variant: Variant, cells: pd.DataFrame, key: str) -> Plot:
     layout = {
         "xaxis": axis("x, forward, m", **sides),
         "yaxis": axis("y, left, m", **sides, scaleanchor="x"),
-        "shapes": [_ego()],
+        "shapes": [_EGO],
     }
     fallen = int((cells["mean_reduction"] > 0).sum())
     share = f"{fallen / len(cells):.0%}"
@@ -104,15 +103,7 @@ def _heat(cells: pd.DataFrame, size: float, reach: float) -> list[dict[str, Any]
     empty_y, empty_x = np.nonzero(np.isnan(values))
     marker = {"symbol": "x-thin", "size": 7, "line": {"width": 1.5, "color": "#8a8a8a"}}
     hover = "x %{x:.0f} m, y %{y:.0f} m: no placement<extra></extra>"
-    at = {"x": centres[empty_x], "y": centres[empty_y]}
-    empty = {"type": "scatter", "mode": "markers", **at, "marker": marker, "hovertemplate": hover, "showlegend": False}
-    return [heat, empty]
-
-
-def _ego() -> dict[str, Any]:
-    length, width = EGO_M
-    sides = {"x0": -length / 2, "x1": length / 2, "y0": -width / 2, "y1": width / 2}
-    return {"type": "rect", **sides, "line": {"color": "#2f8fc9", "width": 2}, "fillcolor": "#2f8fc9"}
+    return [heat, marks(centres[empty_x], centres[empty_y], marker, hovertemplate=hover, showlegend=False)]
 
 
 def _table(variant: Variant, cells: pd.DataFrame) -> Table:

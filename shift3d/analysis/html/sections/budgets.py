@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from shift3d.analysis.html.blocks import Paragraph, Section
+from shift3d.analysis.html.blocks import Block, Paragraph
 from shift3d.analysis.html.figure import DASHES, LEGEND_BELOW, axis, plot, short
 from shift3d.analysis.statistics.intervals import Interval
 from shift3d.analysis.tables.budgets import ANY_SHAPE, BudgetCurve, budget_curves, budget_table
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 
-_TITLE = "How hard vehicles get that stay vehicles"
 _LEAD = (
     "AUC over the baseline's, against the percentile of the reference set that a searched shape may not pass: at 95, "
     "95 of 100 known vehicles lie nearer to the others than the shape does. Bars: 95 %, scenes redrawn. Random draws "
@@ -21,11 +20,11 @@ _LEAD = (
 _MARKED = ("#d55e00", "#2f8fc9", "#2c9668", "#9467bd", "#b97a00", "#7d7d7d")
 
 
-def budgets(found: Sequence[Variant]) -> Section | None:
-    """The section; None where no search ran under two budgets."""
+def budgets(found: Sequence[Variant]) -> list[Block]:
+    """The section; nothing where no search ran under two budgets."""
     curves, table = budget_curves(found), budget_table(found)
     if table is None:
-        return None
+        return []
     traces = [trace for number, curve in enumerate(curves) for trace in _traces(curve, _MARKED[number % len(_MARKED)])]
     layout: dict[str, Any] = {
         "xaxis": axis("percentile of the reference set", type="category"),
@@ -33,7 +32,7 @@ def budgets(found: Sequence[Variant]) -> Section | None:
         "legend": LEGEND_BELOW,
     }
     caption = "AUC over the baseline's against the budget of naturalness"
-    return Section("budgets", _TITLE, [Paragraph(_LEAD), plot("budgets", traces, layout, caption, caption, 380), table])
+    return [Paragraph(_LEAD), plot("budgets", traces, layout, caption, caption, 380), table]
 
 
 def _traces(curve: BudgetCurve, colour: str) -> list[dict[str, Any]]:

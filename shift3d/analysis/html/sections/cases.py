@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from shift3d.analysis.cases.chosen import Case, hardest
 from shift3d.analysis.cases.rendered import Loaded, Rendered, render_again
-from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Section, Terms
+from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Terms, missing
 from shift3d.analysis.html.scene_figures import from_above, turnable
 from shift3d.analysis.html.sections.paths import case_path
 from shift3d.analysis.results import Sweep
@@ -17,36 +16,28 @@ from shift3d.analysis.tables.patterns import NAMES
 from shift3d.analysis.tables.table import Table
 from shift3d.errors import InputError
 from shift3d.geometry.se3 import wrap_angle
-from shift3d.vehicles.mesh_measures import DEFINITIONS, Measures, measure_mesh
+from shift3d.task.spec import TaskSpec
+from shift3d.vehicles.mesh_measures import DEFINITIONS, Measures
 from shift3d.wording import counted
 
-if TYPE_CHECKING:
-    from shift3d.task.spec import TaskSpec
 
-_TITLE = "The hard cases"
-
-
-def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> Section:
+def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> list[Block]:
     """The section: the most harmful solutions rendered again. What cannot be loaded is named, not raised."""
     unnatural = sweep.unnatural
     chosen = hardest(sweep.scores, count, unnatural)
     if not chosen:
-        nothing = "No score fell by 0.01 or more below its baseline's: there is no hard case to show."
-        return Section("cases", _TITLE, [Paragraph(nothing, "missing")])
+        return [missing("No score fell by 0.01 or more below its baseline's: there is no hard case to show.")]
     parts: list[Block] = []
     for number, case in enumerate(chosen, start=1):
         try:
             parts.append(_case(sweep, case, number, loaded))
         except InputError as error:
-            text = f"Case {number}, task {case.task_id}, cannot be drawn: {error.what}"
-            parts.append(Paragraph(text, "missing"))
+            parts.append(missing(f"Case {number}, task {case.task_id}, cannot be drawn: {error.what}"))
     lead = (
         f"{counted(len(chosen), 'solution')} whose score fell furthest below the baseline's of the same task, other "
         f"vehicles and scenes first.{_left_out(unnatural, chosen)} Drag a vehicle to turn both."
     )
-    return Section(
-        "cases", _TITLE, [Paragraph(lead), *parts, Fold("How the meshes are measured", [Terms(DEFINITIONS)])]
-    )
+    return [Paragraph(lead), *parts, Fold("How the meshes are measured", [Terms(DEFINITIONS)])]
 
 
 def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
@@ -88,7 +79,7 @@ def what_changed(case: Case, before: Rendered, after: Rendered) -> str:
     """Shape, place or both, in words."""
     if case.mode == "pose":
         return f"What changed: {_moved(before, after)}; its shape is the baseline's."
-    shape = in_words(measure_mesh(before.mesh), measure_mesh(after.mesh))
+    shape = in_words(before.measures, after.measures)
     return f"What changed: {shape}" + (f" Its place: {_moved(before, after)}." if case.mode == "shape_pose" else "")
 
 
@@ -116,8 +107,8 @@ def _moved(before: Rendered, after: Rendered) -> str:
 def _measures(case: Case, number: int, before: Rendered, after: Rendered) -> list[Block]:
     if case.mode == "pose":
         return []
-    lines = change_lines(measure_mesh(before.mesh), measure_mesh(after.mesh))
     header = ["measure", "baseline", "adversarial", "change"]
+    lines = change_lines(before.measures, after.measures)
     return [Table(f"Case {number}, measured on the meshes", header, lines)]
 
 

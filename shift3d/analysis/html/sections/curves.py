@@ -10,14 +10,13 @@ import numpy as np
 import pandas as pd
 
 from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.html.blocks import Panels, Paragraph, Plot, Section, folded
+from shift3d.analysis.html.blocks import Block, Panels, Paragraph, Plot, folded, missing
 from shift3d.analysis.html.figure import DASHES, LEGEND_BELOW, axis, band, line, plot
 from shift3d.analysis.statistics.intervals import recall_band
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 from shift3d.wording import counted
 
-_TITLE = "Threshold-recall curves"
 _LEAD = (
     "Share of the inserted vehicles that are found with a score above the threshold; exact at every 0.005. Bands: "
     "95 %, pointwise, scenes redrawn. Point at a curve for its values; click a name to hide it."
@@ -29,22 +28,18 @@ def thresholds() -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.arange(201) / 200.0
 
 
-def curves(found: Sequence[Variant]) -> Section:
+def curves(found: Sequence[Variant]) -> list[Block]:
     """The section: a figure a vehicle and one of all, the first variant in sight."""
     if not any(len(variant.rows) for variant in found):
-        return Section("curves", _TITLE, [Paragraph("No task has a score.", "missing")])
-    parts = [(f"Curves: {variant.label}", [Panels(_panels(variant))]) for variant in found]
-    return Section("curves", _TITLE, [Paragraph(_LEAD), *folded(parts, shown=1)])
+        return [missing("No task has a score.")]
+    parts = []
+    for variant in found:
+        panels = [_panel(number, variant, *part) for number, part in enumerate(variant.by_vehicle())]
+        parts.append((f"Curves: {variant.label}", [Panels(panels)]))
+    return [Paragraph(_LEAD), *folded(parts, shown=1)]
 
 
-def _panels(variant: Variant) -> list[Plot]:
-    return [
-        _panel(f"curve-{variant.key}-{number}", variant, name, rows)
-        for number, (name, rows) in enumerate(variant.by_vehicle())
-    ]
-
-
-def _panel(key: str, variant: Variant, name: str, rows: pd.DataFrame) -> Plot:
+def _panel(number: int, variant: Variant, name: str, rows: pd.DataFrame) -> Plot:
     found = []
     for method, label in METHODS.items():
         own = rows[rows["method"] == method]
@@ -53,7 +48,8 @@ def _panel(key: str, variant: Variant, name: str, rows: pd.DataFrame) -> Plot:
     scenes, tasks = rows["place"].nunique(), rows["task_id"].nunique()
     caption = f"{variant.title}, {name}: {counted(scenes, 'scene')}, {counted(tasks, 'task')}"
     caption += "" if scenes > 1 else "; no band, which takes several scenes"
-    return recall_plot(key, found, f"Threshold-recall curves, {variant.label}, {name}", caption)
+    label = f"Threshold-recall curves, {variant.label}, {name}"
+    return recall_plot(f"curve-{variant.key}-{number}", found, label, caption)
 
 
 @dataclass(frozen=True)

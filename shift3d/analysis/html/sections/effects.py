@@ -6,20 +6,19 @@ from collections.abc import Sequence
 
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.sweep import effects_figure
-from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Picture, Section, Terms
+from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Picture, Terms, missing
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.effects import MEANINGS, EffectImpact, effect_impacts, effect_milliseconds, effect_table
 from shift3d.errors import InputError
 
 
-def effects(sweep: Sweep) -> Section:
+def effects(sweep: Sweep) -> list[Block]:
     """The section; one line where the sweep has no pairs with and without one effect."""
     try:
         impacts = effect_impacts(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
     except InputError as error:
-        text = f"Not measured by this sweep: {error.what}. {error.remedy}."
-        return Section("effects", "Effects", [Paragraph(text, "missing")])
-    return Section("effects", "Effects", impact_blocks(impacts))
+        return [missing(f"Not measured by this sweep: {error.what}. {error.remedy}.")]
+    return impact_blocks(impacts)
 
 
 def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from shift3d.analysis.cases.chosen import Case, falls, random_positions
 from shift3d.analysis.cases.rendered import Loaded, oriented
-from shift3d.analysis.html.blocks import Panels, Paragraph, Picture, Section
+from shift3d.analysis.html.blocks import Block, Panels, Paragraph, Picture
 from shift3d.analysis.html.scene_figures import side_by_side
 from shift3d.analysis.results import Sweep
 from shift3d.errors import InputError
@@ -21,7 +21,7 @@ THREE_RGB = ((0.55, 0.57, 0.60), (0.86, 0.42, 0.12), (0.18, 0.56, 0.79))
 """Of baseline, adversarial and retrieved vehicles."""
 
 
-def gallery(sweep: Sweep, loaded: Loaded) -> Section:
+def gallery(sweep: Sweep, loaded: Loaded) -> list[Block]:
     """The section: a tile a task, whatever became of it. What cannot be drawn is named, not raised."""
     positions = random_positions(len(sweep.plan.tasks), _COUNT, sweep.plan.spec_hash)
     scored = {case.task_id: case for case in falls(sweep.scores)}
@@ -39,19 +39,19 @@ def gallery(sweep: Sweep, loaded: Loaded) -> Section:
         f"{which}{how}. To the left the baseline, to the right what the attack found, as the sensor sees them; below, "
         "the scores of both before the attacked detector."
     )
-    return Section("gallery", "Gallery", [Paragraph(lead), Panels(tiles, "tiles")])
+    return [Paragraph(lead), Panels(tiles, "tiles")]
 
 
 def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loaded: Loaded) -> Picture:
     spec = task.spec
     weight = "" if spec.lambda_ is None else f", lambda {spec.lambda_:g}"
     name = f"{spec.vehicle.replace('_', ' ')}, {spec.mode.replace('_', ' and ')}{weight}"
+    rows = sweep.scores[sweep.scores["task_id"] == spec.task_id]
     if case is None:
-        rows = sweep.scores[sweep.scores["task_id"] == spec.task_id]
         status = str(rows["status"].iloc[0]).replace("_", " ") if len(rows) else "no result"
         return Picture(None, status, name)
-    own = sweep.scores[(sweep.scores["task_id"] == spec.task_id) & (sweep.scores["method"] == "adversarial")]
-    failed = "" if own["status"].iloc[0] == "ok" else str(own["status"].iloc[0]).replace("_", " ")
+    status = rows["status"][rows["method"] == "adversarial"].iloc[0]
+    failed = "" if status == "ok" else status.replace("_", " ")
     caption = ", ".join(filter(None, (f"{name}: {case.before:.2f} → {case.after:.2f}", rating, failed)))
     alt = f"{name} in scene {spec.scene}, baseline and adversarial"
     return drawn(lambda: _pair(sweep, task, loaded), alt, caption)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Section
+from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, missing
 from shift3d.analysis.tables.auc import natural_rows, ratio_texts, with_baseline
 from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.variants import Variant, aucs_of_scores
@@ -13,14 +13,14 @@ from shift3d.wording import counted
 _SHOWN = 3
 
 
-def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str | None = None) -> Section:
+def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str | None = None) -> list[Block]:
     """A sentence for each variant that the attacked detector scores itself; the others folded.
 
     caveat: what to know before reading AUCs. unplaced: what is told where no vehicle found a place.
     """
     known = [variant for variant in found if len(variant.rows)]
     if not known:
-        return Section("short", "In short", [Paragraph(unplaced or "No task has a score.", "missing")])
+        return [missing(unplaced or "No task has a score.")]
     own = [variant for variant in known if variant.is_own] or known
     first, rest = own[:_SHOWN], [variant for variant in known if variant not in own[:_SHOWN]]
     blocks: list[Block] = [Paragraph(caveat, "caveat")] if caveat else []
@@ -28,7 +28,7 @@ def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str 
     if rest:
         summary = f"{counted(len(rest), 'more result')}: other detectors and settings"
         blocks.append(Fold(summary, [Items([headline(variant) for variant in rest])]))
-    return Section("short", "In short", blocks)
+    return blocks
 
 
 def headline(variant: Variant) -> str:
@@ -40,7 +40,8 @@ def headline(variant: Variant) -> str:
     if before is None or after is None:
         return f"{variant.title}: no baseline, or nothing found."
     ratio = " ".join(part for part in ratio_texts(rows, baseline) if part)
-    paper = _papers_ratio(variant, vehicles)
+    table = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search)
+    paper = table and table.aucs.of_baseline("adversarial", vehicles)
     counts = f"{counted(len(vehicles), 'vehicle')} in {counted(rows['place'].nunique(), 'scene')}"
     return (
         f"{variant.title}: the mean AUC of {counts} {'falls' if after < before else 'goes'} from {before:.3f} to "
@@ -48,17 +49,12 @@ def headline(variant: Variant) -> str:
     )
 
 
-def _papers_ratio(variant: Variant, vehicles: list[str]) -> float | None:
-    paper = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search)
-    return paper.aucs.of_baseline("adversarial", vehicles) if paper else None
-
-
 def _naturalness(variant: Variant) -> str:
     """How many of the shapes are unnatural, and the ratio over the others."""
     if variant.mode == "pose":
         return ""
     tasks = variant.rows.drop_duplicates("task_id")
-    measured = tasks[tasks["natural"].notna()] if "natural" in tasks else tasks.iloc[:0]
+    measured = tasks[tasks["natural"].notna()]
     if measured.empty:
         return "; how many of the shapes are unnatural was not measured"
     unnatural = int(measured["natural"].eq(False).sum())

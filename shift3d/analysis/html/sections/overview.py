@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Section, Terms
+from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Terms, missing
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, rows_by_status, stage_times
@@ -14,7 +14,6 @@ from shift3d.sweep.planning.plan_view import skipped_lines
 from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
 from shift3d.wording import counted, duration
 
-_TITLE = "Choice of hyper-parameters"
 _RULE = (
     "The paper's rules: alpha by the lowest AUC of what the search found; lambda for each vehicle by the lowest mean "
     f"adversarial loss, the larger one of those within {NEARLY_EQUAL:.0%} of it (the paper says 'very similar' and no "
@@ -22,16 +21,15 @@ _RULE = (
 )
 
 
-def choices(sweep: Sweep) -> Section:
+def choices(sweep: Sweep) -> list[Block]:
     """The section: a table a parameter, and a sentence a choice."""
     if sweep.choices.empty:
-        text = "This sweep holds no two values of alpha or lambda."
-        return Section("choices", _TITLE, [Paragraph(text, "missing")])
+        return [missing("This sweep holds no two values of alpha or lambda.")]
     why = Fold("Why each was chosen", [Items(reasons(sweep.choices))])
-    return Section("choices", _TITLE, [Paragraph(_RULE), *choice_tables(sweep.choices), why])
+    return [Paragraph(_RULE), *choice_tables(sweep.choices), why]
 
 
-def coverage(sweep: Sweep) -> Section:
+def coverage(sweep: Sweep) -> list[Block]:
     """The section: tasks scored, without a score by reason, quarantined, and attempts that failed."""
     planned = len(sweep.plan.tasks)
     lines = [line.strip() for line in coverage_lines(sweep.scores, sweep.attempts, planned, shown=20)]
@@ -43,16 +41,15 @@ def coverage(sweep: Sweep) -> Section:
     complete = len(lines) == 1 and sweep.scored["task_id"].nunique() == planned
     lead = "Nothing failed and nothing is missing." if complete else "What is missing, and why."
     rows = Fold("Rows by method and status", [rows_by_status(sweep.scores)])
-    return Section("coverage", "Failures and coverage", [Paragraph(lead), Items(lines), rows])
+    return [Paragraph(lead), Items(lines), rows]
 
 
 _SETTINGS = ("steps", "alpha", "lambda", "random_replicates", "noise_replicates", "noise_sigma", "max_shift_m")
 
 
-def overview(sweep: Sweep) -> Section:
+def overview(sweep: Sweep) -> list[Block]:
     """The section."""
-    blocks: list[Block] = [Terms(_facts(sweep)), _axes(sweep.plan.axes), *_cost(sweep), _versions(sweep)]
-    return Section("run", "What was run", blocks)
+    return [Terms(_facts(sweep)), _axes(sweep.plan.axes), *_cost(sweep), _versions(sweep)]
 
 
 def _facts(sweep: Sweep) -> dict[str, str]:
@@ -84,14 +81,13 @@ def _counts(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
     """How many tasks there are of each name."""
     counts: Counter[str] = Counter()
     for tasks, names in named:
-        for name in names:
-            counts[name] += tasks
+        counts.update(dict.fromkeys(names, tasks))
     return counts
 
 
 def _axes(axes: dict[str, list[str]]) -> Block:
     if not axes:
-        return Paragraph("No axis: one setting.", "missing")
+        return missing("No axis: one setting.")
     lines = [[name, str(len(values)), ", ".join(values)] for name, values in axes.items()]
     return Table("Axes of the sweep", ["axis", "values", "which"], lines)
 
@@ -99,7 +95,7 @@ def _axes(axes: dict[str, list[str]]) -> Block:
 def _cost(sweep: Sweep) -> list[Block]:
     timings = sweep.timings
     if timings.empty:
-        return [Paragraph("Cost: the sweep has no timings.", "missing")]
+        return [missing("Cost: the sweep has no timings.")]
     tasks = timings["task_id"].nunique()
     seconds = float(timings.loc[timings["stage"] == "total", "milliseconds"].sum()) / 1e3
     text = f"{counted(tasks, 'task')} took {duration(seconds)} on one thread each, {duration(seconds / tasks)} a task."

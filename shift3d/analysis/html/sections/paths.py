@@ -8,15 +8,14 @@ from typing import Any
 import pandas as pd
 
 from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.html.blocks import Block, Paragraph, Plot, Section, folded
-from shift3d.analysis.html.figure import LEGEND_BELOW, axis, band, line, plot, short
+from shift3d.analysis.html.blocks import Block, Paragraph, Plot, folded, missing
+from shift3d.analysis.html.figure import LEGEND_BELOW, axis, band, line, marks, plot, short
 from shift3d.analysis.results import Sweep, places_of
 from shift3d.analysis.statistics.intervals import resampled_band
 from shift3d.analysis.variants import Variant
 from shift3d.wording import counted
 
-_TITLE = "The score along the steps"
-_MISSING = Paragraph("This sweep kept no scores along the steps.", "missing")
+_MISSING = missing("This sweep kept no scores along the steps.")
 _VEHICLES = ("#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a8a8a")
 _LEAD = (
     "What the search sees at every step, step 0 being the unchanged vehicle: the score of the best box within 5 m "
@@ -26,13 +25,11 @@ _LEAD = (
 )
 
 
-def paths(sweep: Sweep, found: Sequence[Variant]) -> Section:
+def paths(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     """The section: the mean path of each search, with a band. Searches are those of the attacked detector."""
     own = [(variant, searched(sweep, variant)) for variant in found if variant.is_own]
     parts = [(f"Steps: {variant.label}", [_plot(variant, rows)]) for variant, rows in own if len(rows)]
-    if not parts:
-        return Section("paths", _TITLE, [_MISSING])
-    return Section("paths", _TITLE, [Paragraph(_LEAD), *folded(parts, shown=2)])
+    return [Paragraph(_LEAD), *folded(parts, shown=2)] if parts else [_MISSING]
 
 
 def searched(sweep: Sweep, variant: Variant) -> pd.DataFrame:
@@ -77,11 +74,11 @@ def case_path(key: str, rows: pd.DataFrame) -> Block:
     steps, scores = rows["step"].to_numpy(), rows["proposal_score"].to_numpy()
     best, broken = rows[rows["kept"]], rows[~rows["valid"]]
     traces = [line(steps, scores, "score", {"color": COLOURS["adversarial"], "width": 2})]
-    marks = ((broken, "breaks a constraint", "x", "#8a8a8a"), (best, "best step", "circle", "#9b5de5"))
-    for part, name, symbol, colour in marks:
-        at = {"x": part["step"].to_numpy(), "y": short(part["proposal_score"])}
+    kinds = ((broken, "breaks a constraint", "x", "#8a8a8a"), (best, "best step", "circle", "#9b5de5"))
+    for part, name, symbol, colour in kinds:
         marker = {"size": 10, "symbol": symbol, "color": colour}
-        traces += [{"type": "scatter", "mode": "markers", **at, "marker": marker, "name": name}] if len(part) else []
+        if len(part):
+            traces.append(marks(part["step"].to_numpy(), short(part["proposal_score"]), marker, name=name))
     at_best = int(best["step"].iloc[0]) if len(best) else 0
     caption = f"Score along the steps, as the search sees it: {scores[0]:.2f} at the start, step {at_best} is the best"
     return plot(f"{key}-path", traces, _layout(int(steps[-1])), caption, caption, 260)

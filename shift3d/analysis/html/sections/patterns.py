@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Plot, Section, Terms, folded
-from shift3d.analysis.html.figure import axis, plot
+from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Plot, Terms, folded, missing
+from shift3d.analysis.html.figure import axis, marks, plot
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rules_objects, rules_table
 from shift3d.analysis.tables.patterns import Pattern, pattern_groups, patterns_table
@@ -18,44 +18,40 @@ _RULES_LEAD = (
 )
 
 
-def rules(sweep: Sweep) -> Section:
+def rules(sweep: Sweep) -> list[Block]:
     """The section; it says so where a sweep has too few scenes, or no rule."""
-    blocks: list[Block]
     objects = rules_objects(sweep)
     try:
         found = failure_rules(objects)
     except InputError as error:
-        blocks = [Paragraph(f"{error.what[:1].upper()}{error.what[1:]}.", "missing")]
-    else:
-        nothing = Paragraph("Nothing that was measured tells objects with low scores from the others.", "missing")
-        blocks = [Paragraph(_RULES_LEAD), rules_table(found)] if found else [nothing]
-        if lacking := left_out(objects):
-            blocks.append(Paragraph(f"{lacking}."))
-    return Section("rules", "What the missed objects share", blocks)
+        return [missing(f"{error.what[:1].upper()}{error.what[1:]}.")]
+    nothing = missing("Nothing that was measured tells objects with low scores from the others.")
+    blocks: list[Block] = [Paragraph(_RULES_LEAD), rules_table(found)] if found else [nothing]
+    if lacking := left_out(objects):
+        blocks.append(Paragraph(f"{lacking}."))
+    return blocks
 
 
-_TITLE = "What attacks change"
 _LEAD = (
     "Measured on the mesh of every baseline and of what was found from it, whatever became of its score. Change: mean "
     "over all solutions, with its 95 % interval, whole scenes redrawn; less and more: shares of the solutions whose "
     "measure changes by 1 cm, 1° or 1 % of a cubic metre."
 )
-_MISSING = "The shapes were not measured: shift3d patterns OUT measures them (OUT is this page's folder)."
+_UNMEASURED = "The shapes were not measured: shift3d patterns OUT measures them (OUT is this page's folder)."
 
 
-def patterns(sweep: Sweep) -> Section:
+def patterns(sweep: Sweep) -> list[Block]:
     """The section: a table and a figure a search; poses need no command of their own."""
     parts: list[tuple[str, list[Block]]] = []
     for number, (label, found) in enumerate(pattern_groups(sweep.patterns, sweep.scores)):
         table = patterns_table(f"Changes: {label}", found)
         parts.append((f"Changes: {label}", [table, *_figures(f"patterns-{number}", label, found)]))
-    missing = (
-        [Paragraph(_MISSING, "missing")] if sweep.patterns.empty and (sweep.scores["mode"] != "pose").any() else []
-    )
+    unmeasured = sweep.patterns.empty and (sweep.scores["mode"] != "pose").any()
+    lacking: list[Block] = [missing(_UNMEASURED)] if unmeasured else []
     if not parts:
-        return Section("patterns", _TITLE, missing or [Paragraph("No task has a solution.", "missing")])
+        return lacking or [missing("No task has a solution.")]
     meanings = Fold("How the meshes are measured", [Terms(DEFINITIONS)])
-    return Section("patterns", _TITLE, [Paragraph(_LEAD), *missing, *folded(parts, shown=2), meanings])
+    return [Paragraph(_LEAD), *lacking, *folded(parts, shown=2), meanings]
 
 
 def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
@@ -70,11 +66,8 @@ def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
             "array": [p.change.high - p.change.mean if k else 0.0 for p, k in zip(shown, known)],
             "arrayminus": [p.change.mean - p.change.low if k else 0.0 for p, k in zip(shown, known)],
         }
-        at = {"x": [p.change.mean for p in shown], "y": [p.name for p in shown]}
-        trace = {
-            **{"type": "scatter", "mode": "markers", **at, "error_x": {"type": "data", "symmetric": False, **ends}},
-            "marker": {"size": 9, "color": COLOURS["adversarial"]},
-        }
+        marker, bars = {"size": 9, "color": COLOURS["adversarial"]}, {"type": "data", "symmetric": False, **ends}
+        trace = marks([p.change.mean for p in shown], [p.name for p in shown], marker, error_x=bars)
         layout = {"xaxis": axis(f"change, {unit}", zeroline=True), "yaxis": axis("", autorange="reversed")}
         changes = ", ".join(f"{pattern.name} {pattern.change.mean:+.1f}" for pattern in shown)
         caption = f"Mean change in {name}, {label}"

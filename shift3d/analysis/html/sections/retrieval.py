@@ -10,16 +10,16 @@ import pandas as pd
 from shift3d.analysis.cases.chosen import random_positions
 from shift3d.analysis.cases.rendered import Loaded
 from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.html.blocks import Block, Command, Heading, Panels, Paragraph, Picture, Plot, Section
+from shift3d.analysis.html.blocks import Block, Command, Heading, Panels, Paragraph, Picture, Plot, missing
 from shift3d.analysis.html.scene_figures import side_by_side
 from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
 from shift3d.analysis.html.sections.gallery import THREE_RGB, drawn
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.retrieval import kept, kin_of, pool_table, retrieval_table
+from shift3d.naturalness.decoded import decoded_mesh
 from shift3d.wording import counted
 
 _COUNT = 9  # tiles
-_TITLE = "Natural kin"
 _LEAD = (
     "Labelled vehicles of other scenes were cropped, and their shapes fitted to their points. The vehicle whose latent "
     "code is nearest to that of an adversarial shape is put in its place. By the paper's rule, a shape without a near "
@@ -34,13 +34,11 @@ _CURVES = {
 }
 
 
-def retrieval(sweep: Sweep, loaded: Loaded) -> Section:
+def retrieval(sweep: Sweep, loaded: Loaded) -> list[Block]:
     """The section; it says how kin are found where nobody has looked."""
     if sweep.retrieved.empty:
-        lead = Paragraph("Nobody has looked for natural vehicles that are like these shapes.", "missing")
-        return Section(
-            "retrieval", _TITLE, [lead, Command("A vehicle of the set takes some seconds:", "shift3d retrieve OUT")]
-        )
+        nothing = missing("Nobody has looked for natural vehicles that are like these shapes.")
+        return [nothing, Command("A vehicle of the set takes some seconds:", "shift3d retrieve OUT")]
     table = retrieval_table(sweep.retrieved)
     own = kept(sweep.retrieved)
     own = own[own["scored_by"] == own["detector"]]
@@ -50,7 +48,7 @@ def retrieval(sweep: Sweep, loaded: Loaded) -> Section:
         tiles = [_kin_tile(sweep, row, loaded) for row in shown]
         heading = "Baseline, adversarial and retrieved vehicle, of solutions drawn at random"
         blocks += [Panels([_curves(own)]), Heading(heading), Panels(tiles, "tiles")]
-    return Section("retrieval", _TITLE, blocks)
+    return blocks
 
 
 def _curves(rows: pd.DataFrame) -> Plot:
@@ -71,8 +69,6 @@ def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> Picture:
 
 def _three(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> bytes:
     """Three vehicles side by side from the front left, a little from above, to one scale."""
-    from shift3d.naturalness.decoded import decoded_mesh
-
     (task,) = sweep.plan.tasks.starting_with(row["task_id"])
     assets, pool = loaded.assets(task), sweep.vehicle_pool
     kin = kin_of(pool, row)

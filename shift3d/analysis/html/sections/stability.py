@@ -6,18 +6,18 @@ import pandas as pd
 
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.sweep import stability_figure
-from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph, Picture, Section, Terms
+from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph, Picture, Terms, missing
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_meanings, preset_table
 from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
 
 
-def accuracy(sweep: Sweep) -> Section:
+def accuracy(sweep: Sweep) -> list[Block]:
     """The section: the audit of this sweep's own objects, and the presets as a frontier measured them."""
     audited = Items([*accuracy_cost(sweep.scores, sweep.timings), diagnostics(sweep.scores)])
     lead = Paragraph("Beams of each object are rendered again at reference accuracy.")
     explained = Fold("What the columns mean", [Terms(preset_meanings())])
-    return Section("accuracy", "Accuracy against time", [lead, audited, preset_table(), explained])
+    return [lead, audited, preset_table(), explained]
 
 
 _ALT = (
@@ -26,12 +26,11 @@ _ALT = (
 )
 
 
-def stability(sweep: Sweep) -> Section:
+def stability(sweep: Sweep) -> list[Block]:
     """The section; one line where nothing was verified."""
     if sweep.verification is None or sweep.verification.empty:
-        text = "Not verified: shift3d verify OUT scores every solution again at reference accuracy."
-        return Section("stability", "Stability", [Paragraph(text, "missing")])
-    return Section("stability", "Stability", stability_blocks(sweep.verification, shown=20))
+        return [missing("Not verified: shift3d verify OUT scores every solution again at reference accuracy.")]
+    return stability_blocks(sweep.verification, shown=20)
 
 
 def stability_blocks(verification: pd.DataFrame, shown: int | None) -> list[Block]:

@@ -31,17 +31,11 @@ def advice(frame: pd.DataFrame) -> str:
         rows["error_m"], rows["misplaced"] = effective_error_m(rows), misplaced(rows)
         rows["warm"] = warm_starts(rows)
         presets = {row["preset"]: row for _, row in rows[rows["preset"].notna()].iterrows()}
-        sentences = [
-            _costs(rows, str(scenes), presets),
-            _against_paper(presets),
-            _accuracy(presets),
-            *_steps(presets),
-            _warm(rows, presets),
-            _loop(presets),
-            _attacks(rows),
-            _knee(rows),
-            *_dominated(rows),
-        ]
+        sentences = [_costs(rows, str(scenes), presets)]
+        if (default := presets.get(_DEFAULT)) is not None:
+            sentences += [_against_paper(default, presets), _accuracy(default), *_steps(default, presets)]
+            sentences += [_warm(rows, default), _loop(default)]
+        sentences += [_attacks(rows), _knee(rows), *_dominated(rows)]
         paragraphs.append(" ".join(sentence for sentence in sentences if sentence))
     return "\n\n".join(paragraphs)
 
@@ -60,23 +54,19 @@ def _costs(rows: pd.DataFrame, scenes: str, presets: dict[str, Any]) -> str:
     return f"{first} {_and(costs)} a rendering.{on_front}"
 
 
-def _against_paper(presets: dict[str, Any]) -> str:
-    if not {_DEFAULT, "paper"} <= presets.keys():
+def _against_paper(default: pd.Series, presets: dict[str, Any]) -> str:
+    if "paper" not in presets:
         return ""
-    ours, paper = presets[_DEFAULT], presets["paper"]
-    ratio = float(ours["ratio_to_paper"])
-    clipped = ours.get("ratio_to_paper_chord")
-    chord = "" if clipped is None or np.isnan(clipped) else f" ({factor(clipped)} times on the sphere's chord alone)"
+    clipped = default["ratio_to_paper_chord"]
+    chord = "" if np.isnan(clipped) else f" ({factor(clipped)} times on the sphere's chord alone)"
     return (
-        f"The default, {_DEFAULT}, is {factor(ratio)} times as fast as paper as published{chord}, and misses or "
-        f"misplaces {_share(ours['misplaced'])} of the hits where paper does {_share(paper['misplaced'])}."
+        f"The default, {_DEFAULT}, is {factor(default['ratio_to_paper'])} times as fast as paper as published{chord}, "
+        f"and misses or misplaces {_share(default['misplaced'])} of the hits where paper does "
+        f"{_share(presets['paper']['misplaced'])}."
     )
 
 
-def _accuracy(presets: dict[str, Any]) -> str:
-    if _DEFAULT not in presets:
-        return ""
-    row = presets[_DEFAULT]
+def _accuracy(row: pd.Series) -> str:
     chords = f"of the chords of 2 cm or more it misses {_share(row['missed_hits_2cm'])}"
     text = f"Its depths are within {length(row['depth_p50_m'])} for half of the hits, {length(row['depth_p99_m'])} for "
     text += f"99 % and {length(row['depth_max_m'])} for all; {chords}"
@@ -90,11 +80,9 @@ def _accuracy(presets: dict[str, Any]) -> str:
     return f"{text}{length(row['error_m'])} a beam."
 
 
-def _steps(presets: dict[str, Any]) -> list[str]:
+def _steps(here: pd.Series, presets: dict[str, Any]) -> list[str]:
     """One preset down and up from the default."""
-    if _DEFAULT not in presets:
-        return []
-    here, sentences = presets[_DEFAULT], []
+    sentences = []
     for name in (name for name in _LADDER if name in presets and name != _DEFAULT):
         other = presets[name]
         down = _LADDER.index(name) < _LADDER.index(_DEFAULT)
@@ -107,13 +95,13 @@ def _steps(presets: dict[str, Any]) -> list[str]:
     return sentences
 
 
-def _warm(rows: pd.DataFrame, presets: dict[str, Any]) -> str:
+def _warm(rows: pd.DataFrame, default: pd.Series) -> str:
     """What starting from the previous rendering saves, for the default preset."""
     found = rows[rows["setting"] == f"{_DEFAULT}, warm"]
-    if found.empty or _DEFAULT not in presets:
+    if found.empty:
         return ""
     plain = rows[rows["setting"] == f"{_DEFAULT}, shape gradient"]
-    warm, cold, how = found.iloc[0], presets[_DEFAULT], "cold"
+    warm, cold, how = found.iloc[0], default, "cold"
     if len(plain):  # an SDF grid is of one shape: one that changes has none
         cold, how = plain.iloc[0], "cold under the same conditions, without an SDF grid and with the gradient"
     text = f"Warm, that is from the previous rendering on as in the attack loop, {_DEFAULT} takes "
@@ -123,9 +111,8 @@ def _warm(rows: pd.DataFrame, presets: dict[str, Any]) -> str:
     return text + "."
 
 
-def _loop(presets: dict[str, Any]) -> str:
-    row = presets.get(_DEFAULT)
-    if row is None or np.isnan(row["step_ms_median"]):
+def _loop(row: pd.Series) -> str:
+    if np.isnan(row["step_ms_median"]):
         return ""
     text = f"A whole attack step in {_DEFAULT} takes {milliseconds(row['step_ms_median'])}"
     if not np.isnan(row["step_ratio_to_paper"]):

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from shift3d.analysis.tables.accuracy.frontier import meanings_of, settings_table
+from shift3d.analysis.tables.accuracy.frontier import meanings, settings_table
 from shift3d.analysis.tables.table import Table
 from shift3d.errors import InputError
+from shift3d.store.frontier_table import FRONTIER_SCHEMA, read_frontier
 from shift3d.wording import counted
 
 
@@ -44,10 +45,6 @@ def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
     folder: where a frontier was written, default outputs/frontier of the working directory. One that cannot be read, is
     of other scenes or lacks a preset is named and left out: a sweep does not end in an error for it.
     """
-    import pandas as pd
-
-    from shift3d.store.frontier_table import FRONTIER_SCHEMA, read_frontier
-
     file = (folder or Path("outputs") / "frontier") / "frontier.parquet"
     shipped = _of_presets(pd.read_json(MEASURED).reindex(columns=FRONTIER_SCHEMA.names))
     if file.is_file():
@@ -72,7 +69,7 @@ def preset_table(folder: Path | None = None) -> Table:
 
 def preset_meanings() -> dict[str, str]:
     """What the columns of `preset_table` mean."""
-    return meanings_of(_HEADERS)
+    return meanings(_HEADERS)
 
 
 def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame) -> list[str]:

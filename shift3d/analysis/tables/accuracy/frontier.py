@@ -67,40 +67,45 @@ RULE = (
 
 
 def frontier_lines(frame: pd.DataFrame) -> str:
-    """The printed tables, without the columns that a terminal has no room for. frame: the frontier's table."""
-    printed = [column.header for column in _COLUMNS if column.printed]
-    return "\n\n".join(str(table) for _, table in settings_tables(frame, printed))
+    """The printed tables and what their columns mean, without those that a terminal has no room for.
 
-
-def settings_tables(frame: pd.DataFrame, headers: Collection[str] = ()) -> list[tuple[str, Table]]:
-    """Each scene set and its table, the fastest setting first. headers: of the columns that are wanted, default all.
-
-    Columns for which nothing was measured are left out.
+    frame: the frontier's table.
     """
-    columns = [column for column in _columns(frame) if not headers or column.header in headers]
+    headers = measured_headers(frame, printed=True)
+    tables = [str(table) for _, table in settings_tables(frame, headers)]
+    return "\n\n".join([*tables, legend(meanings(headers))])
+
+
+def measured_headers(frame: pd.DataFrame, printed: bool = False) -> list[str]:
+    """Heads of the columns for which something was measured. printed: of those that a terminal has room for."""
+    frame = _completed(frame)
+    columns = [column for column in _COLUMNS if frame[column.source].notna().any()]
+    return [column.header for column in columns if column.printed or not printed]
+
+
+def settings_tables(frame: pd.DataFrame, headers: Collection[str]) -> list[tuple[str, Table]]:
+    """Each scene set and its table, the fastest setting first. headers: of the columns."""
     found = []
     for scenes in dict.fromkeys(frame["scenes"]):
         rows = frame[frame["scenes"] == scenes].sort_values("ms_median", kind="stable")
         renders, beams = rows["renders"].max(), rows["beams"].max()
         title = f"What accuracy costs on the {scenes} scenes ({renders:,} renderings, {beams:,} beams; * on the front)"
-        found.append((str(scenes), settings_table(rows, title, str(scenes), [column.header for column in columns])))
+        found.append((str(scenes), settings_table(rows, title, str(scenes), headers)))
     return found
 
 
 def settings_table(rows: pd.DataFrame, title: str, first: str, headers: Collection[str]) -> Table:
     """Rows as they come. first: the head of their names. headers: of the columns."""
     rows, columns = _completed(rows), [column for column in _COLUMNS if column.header in headers]
-    lines = [[str(row["setting"]), *_cells(row, columns)] for row in rows.iloc]
+    lines = []
+    for row in rows.iloc:
+        cells = ["-" if pd.isna(row[column.source]) else column.cell(row[column.source]) for column in columns]
+        lines.append([str(row["setting"]), *cells])
     kinds = [" ".join(["dominated"] * (not row["pareto"]) + ["ours"] * pd.notna(row["preset"])) for row in rows.iloc]
     return Table(title, [first, *(column.header for column in columns)], lines, kinds)
 
 
-def meanings(frame: pd.DataFrame) -> dict[str, str]:
-    """What the columns mean for which something was measured."""
-    return {column.header: column.meaning for column in _columns(frame)}
-
-
-def meanings_of(headers: Collection[str]) -> dict[str, str]:
+def meanings(headers: Collection[str]) -> dict[str, str]:
     """What some columns mean, by header."""
     return {column.header: column.meaning for column in _COLUMNS if column.header in headers}
 
@@ -108,16 +113,6 @@ def meanings_of(headers: Collection[str]) -> dict[str, str]:
 def legend(terms: Mapping[str, str]) -> str:
     """What columns mean, as a terminal shows it below their table."""
     return textwrap.fill("; ".join(f"{header}: {meaning}" for header, meaning in terms.items()), 120)
-
-
-def printed_legend(frame: pd.DataFrame) -> str:
-    """What the columns of `frontier_lines` mean."""
-    return legend({column.header: column.meaning for column in _columns(frame) if column.printed})
-
-
-def _columns(frame: pd.DataFrame) -> list[_Column]:
-    frame = _completed(frame)
-    return [column for column in _COLUMNS if frame[column.source].notna().any()]
 
 
 def _completed(frame: pd.DataFrame) -> pd.DataFrame:
@@ -131,7 +126,3 @@ def _conditions(row: pd.Series) -> str | None:
         return None
     grid = ["grid"] if row["grid"] else []
     return ", ".join([row["start"], *grid, *([] if row["gradient"] == "no" else [f"{row['gradient']} gradient"])])
-
-
-def _cells(row: pd.Series, columns: list[_Column]) -> list[str]:
-    return ["-" if pd.isna(row[column.source]) else column.cell(row[column.source]) for column in columns]

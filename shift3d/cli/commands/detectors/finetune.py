@@ -134,6 +134,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.steps:
         print("\n".join(map(str, steps)))
         return 0
+    from shift3d.finetuning import report
+
     incomplete = False
     for step in steps:
         print(f"\n$ {step}", flush=True)
@@ -142,8 +144,10 @@ def _run(arguments: argparse.Namespace) -> int:
             print("the same command resumes", file=sys.stderr)
             return code
         incomplete |= code == ExitCode.INCOMPLETE
-        _score(folder, step, models)
-    _finish(folder, config, models, steps)
+        if step.command is train.COMMAND:  # what the tuned model makes of the objects that were found before
+            report.score_held_out(folder, next(tuned for tuned in models if f"out={tuned.folder}" in step.words))
+    print(f"\n{report.write_report(folder, config.detector.name, models, [str(step) for step in steps])}")
+    mirror(config.tracking, partial(report.mirror, folder, models))
     return int(ExitCode.INCOMPLETE if incomplete else ExitCode.DONE)
 
 
@@ -234,21 +238,6 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
         for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
             if tuned.model == "finetuned" and request.adaptive:
                 yield swept(name, tuned.folder / place, f"detector.weights={tuned.weights}")
-
-
-def _score(folder: Path, step: _Step, models: Sequence[Tuned]) -> None:
-    """After a training: what the tuned model makes of the objects that were found before."""
-    if step.command is train.COMMAND:
-        from shift3d.finetuning.report import score_held_out
-
-        score_held_out(folder, next(tuned for tuned in models if f"out={tuned.folder}" in step.words))
-
-
-def _finish(folder: Path, config: Config, models: Sequence[Tuned], steps: Sequence[_Step]) -> None:
-    from shift3d.finetuning import report
-
-    print(f"\n{report.write_report(folder, config.detector.name, models, [str(step) for step in steps])}")
-    mirror(config.tracking, partial(report.mirror, folder, models))
 
 
 COMMAND = Command(

@@ -62,16 +62,15 @@ def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[
 
     table, where = read_final(out, "solutions"), str(out / "final" / "solutions.parquet")
     rows = table.filter(pc.equal(table["task_id"], task_id)).to_pylist()
-    if not rows:
+    found = {(row["method"], row["replicate"]): row for row in rows}
+    if not found:
         raise InputError(f"task {task_id} has no solution", where, "See status in final/scores.parquet")
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    methods = [row["method"] for row in rows]
     if method not in methods:
-        raise choice_error("method", method, methods, where)
-    for row in rows:
-        if (row["method"], row["replicate"]) == (method, replicate):
-            return dict(row)
-    count = sum(row["method"] == method for row in rows)
-    raise InputError(f"{method} has no replicate {replicate}", where, f"There are {count}, from 0")
+        raise choice_error("method", method, dict.fromkeys(methods), where)
+    if (method, replicate) not in found:
+        raise InputError(f"{method} has no replicate {replicate}", where, f"There are {methods.count(method)}, from 0")
+    return dict(found[method, replicate])
 
 
 COMMAND = Command(

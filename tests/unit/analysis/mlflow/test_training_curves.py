@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from shift3d.analysis.mlflow.training import TrainingCurves
 
 
@@ -43,3 +45,22 @@ def test_points_wait_for_an_mlflow_that_is_away(tmp_path: Path, uri: str) -> Non
     (run,) = client.search_runs([experiment.experiment_id for experiment in client.search_experiments()])
     history = client.get_metric_history(run.info.run_id, "loss")
     assert sorted((metric.step, metric.value) for metric in history) == [(1, 1.0), (2, 0.5)]
+
+
+def test_a_recipe_that_could_not_be_written_is_written_with_the_next_points(
+    uri: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mlflow import MlflowClient
+
+    def gone(*_: object, **__: object) -> None:
+        raise ConnectionError("gone")
+
+    curves = TrainingCurves(uri, "training", "train", "key", {"steps": 4})
+    with monkeypatch.context() as away:
+        away.setattr(MlflowClient, "log_batch", gone)  # the run is there, and then MLflow is not
+        curves([])
+    assert curves.problem and "gone" in curves.problem
+    curves([(1, {"loss": 1.0})])
+    client = MlflowClient(uri)
+    (run,) = client.search_runs([experiment.experiment_id for experiment in client.search_experiments()])
+    assert run.data.params == {"steps": "4"} and run.data.metrics == {"loss": 1.0}

@@ -28,7 +28,7 @@ from shift3d.sweep.planning.tasks import Tasks
 from shift3d.task.spec import TaskSpec
 from shift3d.wording import counted, duration
 
-SHIPPED = Path(__file__).resolve().parent.parent / "measured" / "task_parts.json"
+SHIPPED = Path(__file__).resolve().parent / "measured" / "task_parts.json"
 """Written by ``docs/scripts/shipped.py``."""
 
 

@@ -1,1 +1,0 @@
-"""What a plan will take before it runs."""
