@@ -51,7 +51,7 @@ class TriedRule:
 
     @property
     def confirmed(self) -> bool:
-        """Whether every group but the first was tried, and lies below zero with 95 % confidence."""
+        """Whether the rule was tried, and its interval lies below zero in every group that it was tried in."""
         return len(self.tried) > 0 and all(interval.high < 0 for interval in self.tried.values())
 
 

@@ -21,11 +21,12 @@ Writes the edited scene of a solution as KITTI scene.bin (same point order as th
 meet the vehicle as hit_mask.npy, the vehicle as object.ply (metres, sensor frame) and object.glb (its own frame, y
 up), boxes as box.json and boxes.json, and all of it as a KITTI folder, kitti/training/ (velodyne, calib, label_2)."""
 
-_EPILOG = """\
+_EPILOG = f"""\
 example:
   shift3d export outputs/default-1a2b3c4d5e6f7a8b task=0f3a method=adversarial to=hard_case
 
-task= is a task's id or its beginning; method= is baseline, random, adversarial or adversarial_noise
+task= is a task's id or its beginning; method= is one of
+{", ".join(METHODS)}
 (replicate= picks one of several, default 0). Both are in final/scores.parquet. A folder that has such files is
 refused without overwrite=true. The KITTI folder is read by
 scenes=kitti scenes.root=DIR/kitti, ground height included; its calibration is that of a camera in the LiDAR's place."""
