@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -16,9 +16,6 @@ from shift3d.settings import messages
 from shift3d.settings.folders import files, looked_in, places, shipped, shown
 from shift3d.settings.names import quoted, text_settings
 from shift3d.settings.schema.config import Config
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 Values = dict[str, Any]
 _SMALL = "small"
@@ -51,11 +48,6 @@ class Composed:
     axes: tuple[Axis, ...]
 
 
-def sweep_names() -> list[str]:
-    """Names of the sweeps that there are."""
-    return list(files("sweeps"))
-
-
 def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     """Compose a sweep file with overrides, once, whatever the number of tasks.
 
@@ -67,23 +59,21 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     small size of a sweep that has none.
     """
     where = f"sweep {name}"
-    file = files("sweeps").get(name)
-    if file is None:
-        raise messages.choice_error("sweep", name, sweep_names(), "sweeps/", looked_in("sweeps"))
+    sweeps = files("sweeps")
+    if name not in sweeps:
+        raise messages.choice_error("sweep", name, sweeps, "sweeps/", looked_in("sweeps"))
     for key, equals, value in (override.partition("=") for override in overrides):
         if equals and not value.strip():
             raise empty_error(key, where)  # a setting that is a text would take it
-    compose, parse = _hydra(file, where)
-    stated = compose([])
-    params = stated["hydra"]["sweeper"]["params"] or {}
+    compose, parse = _hydra(sweeps[name], where)
+    stated, params = compose([])
     own = [f"{key}={value}" for key, value in params.items()]
     small = _small(stated.get(_SMALL), parse(list(overrides)), where)
     own, requested = ([quoted(word, text_settings(Config)) for word in words] for words in (own, overrides))
     words = [*own, *small, *requested]
     axis_texts, fixed = _split(parse(words), where)
     first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
-    base = compose([*fixed, *first])
-    base.pop("hydra")
+    base, _ = compose([*fixed, *first])
     base.pop(_SMALL, None)
     _refuse_interpolations(base, where)
     axes = []
@@ -91,7 +81,7 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
         is_group = any(folder.is_dir() for folder in places(f"conf/{key}"))
         if is_group:
             rest = [text for text in first if not text.startswith(f"{key}=")]
-            others = (compose([*fixed, *rest, f"{key}={text}"])[key] for text in texts[1:])
+            others = (compose([*fixed, *rest, f"{key}={text}"])[0][key] for text in texts[1:])
             values = (base[key], *others)
         else:
             values = tuple(parse([f"{key}={text}"])[0].value() for text in texts)
@@ -119,24 +109,21 @@ def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
 
 
 def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
-    """Two functions: overrides to plain settings (``hydra`` included), and texts to parsed overrides."""
+    """Two functions: overrides to plain settings, with the axes that the file states, and texts to parsed overrides."""
     from hydra import compose, initialize_config_dir
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from omegaconf import OmegaConf
 
     search = f"hydra.searchpath=[{','.join(_search_path())}]"
 
-    def run(overrides: Sequence[str]) -> Values:
-        def composed(texts: Sequence[str]) -> DictConfig:
+    def run(overrides: Sequence[str]) -> tuple[Values, Values]:
+        def plain(texts: Sequence[str]) -> tuple[Any, Any]:
             with initialize_config_dir(config_dir=str(sweep.parent.absolute()), version_base=None):
-                return compose(sweep.stem, overrides=[search, *texts], return_hydra_config=True)
-
-        def plain(texts: Sequence[str]) -> Values:
-            config = composed(texts)
+                config = compose(sweep.stem, overrides=[search, *texts], return_hydra_config=True)
             own = [str(key) for key in config if key != "hydra"]
+            axes = config.hydra.sweeper.params
             values = OmegaConf.to_container(OmegaConf.masked_copy(config, own))
-            params = OmegaConf.to_container(config.hydra.sweeper.params) if config.hydra.sweeper.params else {}
-            return {**values, "hydra": {"sweeper": {"params": params}}}  # type: ignore[dict-item]
+            return values, OmegaConf.to_container(axes) if axes else {}
 
         # Exception: Hydra has errors of its own, and lets YAML's, and many a ValueError and TypeError, through.
         try:
@@ -144,8 +131,8 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
         except Exception as error:
             known = chosen = None
             with contextlib.suppress(Exception):  # a file that cannot be read is no better without overrides
-                known = chosen = plain([])
-                chosen = plain([text for text in overrides if "." not in text.partition("=")[0]])
+                known = chosen = plain([])[0]
+                chosen = plain([text for text in overrides if "." not in text.partition("=")[0]])[0]
             raise messages.from_hydra(error, where, known, chosen, _Groups().get_group_options) from error
 
     def parse(texts: Sequence[str]) -> Any:
@@ -190,26 +177,21 @@ def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], lis
     for override in parsed:
         key = override.get_key_element()
         if override.is_delete():
-            raise InputError(
-                f"{override.input_line}: a setting cannot be removed", where=where, remedy="Set it instead"
-            )
+            raise InputError(f"{override.input_line}: a setting cannot be removed", where, "Set it instead")
         if override.is_sweep_override():
             if not override.is_discrete_sweep():
-                raise InputError(
-                    f"{key} has a continuous axis ({override.input_line})",
-                    where=where,
-                    remedy="List its values, or use range(start,stop,step)",
-                )
+                remedy = "List its values, or use range(start,stop,step)"
+                raise InputError(f"{key} has a continuous axis ({override.input_line})", where, remedy)
             if getattr(override.value(), "shuffle", False):
                 remedy = "List its values: another order at every call would be another sweep"
                 raise InputError(f"{key} has a shuffled axis ({override.input_line})", where=where, remedy=remedy)
             fixed.pop(key, None)
             axes[key] = list(override.sweep_string_iterator())
-        elif key in axes:
-            _check_options(key, override, where)
+            continue
+        _check_options(key, override, where)
+        if key in axes:
             axes[key] = [override.get_value_element_as_str()]
         else:
-            _check_options(key, override, where)
             fixed[key] = override.input_line
     empty = [key for key, texts in axes.items() if not texts]
     if empty:
@@ -251,12 +233,9 @@ def validate(values: Values, where: str, axes: Sequence[str] = ()) -> Config:
     if not isinstance(values, dict):
         raise InputError(f"the settings are a {type(values).__name__}", where=where, remedy="Write NAME: VALUE lines")
     if "frontier" in values:
-        raise InputError(
-            "it measures what accuracy costs and has no tasks",
-            where=where,
-            remedy="Run it with: make frontier, or shift3d frontier",
-        )
-    if missing := _missing(values):
+        remedy = "Run it with: make frontier, or shift3d frontier"
+        raise InputError("it measures what accuracy costs and has no tasks", where, remedy)
+    if missing := next((path for path, value in leaves(values) if value == "???"), None):
         group = missing.split(".")[0]
         by_itself = f"Add {missing}=VALUE to a sweep of this option of {group} alone"
         remedy = by_itself if group in axes else f"Add {missing}=VALUE to the command"
@@ -267,11 +246,10 @@ def validate(values: Values, where: str, axes: Sequence[str] = ()) -> Config:
         raise messages.from_validation(error, where) from error
 
 
-def _missing(values: Values, prefix: str = "") -> str | None:
-    """Path of the first setting that still has Hydra's mark for a required value."""
+def leaves(values: Values, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every single setting with its path, as ``attack.steps``; a list is one."""
     for key, value in values.items():
-        if value == "???":
-            return f"{prefix}{key}"
-        if isinstance(value, dict) and (found := _missing(value, f"{prefix}{key}.")):
-            return found
-    return None
+        if isinstance(value, dict):
+            yield from leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

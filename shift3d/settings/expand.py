@@ -18,9 +18,7 @@ def expand(composed: Composed) -> Iterator[Config]:
     where = f"sweep {composed.name}"
     for axis in composed.axes:
         if axis.key.split(".")[0] in ("runner", "tracking"):
-            raise InputError(
-                f"{axis.key} cannot be an axis: it changes no result", where=where, remedy="Give it one value"
-            )
+            raise InputError(f"{axis.key} cannot be an axis: it changes no result", where, "Give it one value")
     if not composed.axes:
         yield validate(composed.base, where)
         return

@@ -17,17 +17,15 @@ from shift3d.settings.renamed import renamed_error
 _UNIONS = ("scenes", "vehicle", "naturalness", "runner", "tracking")
 
 
-def one_of(value: str, allowed: Iterable[str]) -> str:
-    """``Did you mean 'suv'? One of: coupe, suv`` (the first sentence where something is close)."""
+def choice_error(what: str, value: str, allowed: Iterable[str], where: str, looked: str = "") -> InputError:
+    """The error for an unknown name: ``Did you mean 'suv'? One of: coupe, suv`` (the first where something is close).
+
+    looked: where it was looked for, as :func:`~.folders.looked_in` has it.
+    """
     names = list(allowed)
     close = difflib.get_close_matches(value, names, n=1, cutoff=0.5)
-    hint = f"Did you mean {close[0]!r}? " if close else ""
-    return f"{hint}One of: {', '.join(names)}"
-
-
-def choice_error(what: str, value: str, allowed: Iterable[str], where: str, looked: str = "") -> InputError:
-    """The error for an unknown name. looked: where it was looked for, as :func:`~.folders.looked_in` has it."""
-    known = one_of(value, allowed)
+    known = f"Did you mean {close[0]!r}? " if close else ""
+    known += f"One of: {', '.join(names)}"
     return InputError(f"unknown {what} {value!r}", where=where, remedy=f"{known}. {looked}" if looked else known)
 
 
@@ -85,33 +83,25 @@ def from_hydra(
             return renamed
         return choice_error(group or "sweep", name, options(group), where, looked_in(f"conf/{group}"))
     if match := re.search(r"Could not override '([^']+)'", text):
-        key, siblings = match.group(1), _siblings(match.group(1), config or {})
+        key, beside = match.group(1), _siblings(match.group(1), config or {})
         if (renamed := renamed_error(key)) is not None:
             return renamed
-        if key in siblings and not _is_group(key, config or {}):
+        if key in beside and not isinstance(beside[key], Mapping):
             group = key.partition(".")[0]
             what = f"{key} is a setting of another option of {group} than the chosen one"
             return InputError(what, where=where, remedy=f"Leave it out, or choose another option: {group}=NAME")
-        if key in siblings:
+        if key in beside:
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
-        return choice_error("setting", key, _siblings(key, chosen or {}), where)
+        return choice_error("setting", key, sorted(_siblings(key, chosen or {})), where)
     remedy = f"See {shown(shipped('conf'))} for all settings"
     return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
 
 
-def _is_group(key: str, config: Mapping[str, Any]) -> bool:
-    """Whether a setting of a configuration holds others."""
-    found: Any = config
-    for part in key.split("."):
-        found = found[part]
-    return isinstance(found, Mapping)
-
-
-def _siblings(key: str, config: Mapping[str, Any]) -> list[str]:
-    """Settings beside an unknown one: of the innermost of its parents that exists."""
+def _siblings(key: str, config: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings beside an unknown one, by their paths: of the innermost of its parents that exists."""
     prefix = ""
     for part in key.split(".")[:-1]:
         if not isinstance(config.get(part), Mapping):
             break
         config, prefix = config[part], f"{prefix}{part}."
-    return sorted(f"{prefix}{name}" for name in config)
+    return {f"{prefix}{name}": value for name, value in config.items()}

@@ -55,7 +55,7 @@ def find_garbage(folder: LocationLike) -> Garbage:
     before = [name for name in entry_names(log) if name < f"{entries[0].sequence:08d}"]
     earlier = [(name, entry) for name, entry in zip(before, log.each(lambda n: _entry(log / n), before)) if entry]
     replaced = [log / name for name, entry in earlier if entry.kind != "session"]
-    named = {file for entry in entries for _, file in entry.segments}
+    named = {file for entry in entries for file in entry.segments.values()}
     stopped = {entry.driver for entry in (*entries, *(entry for _, entry in earlier))} - {entries[-1].driver}
     orphans, unknown = [], []
     for name in files:

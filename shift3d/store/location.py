@@ -16,7 +16,6 @@ from typing import Any, BinaryIO, TypeVar
 
 from shift3d.store import atomic
 
-UncertainError = atomic.UncertainError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

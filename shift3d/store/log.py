@@ -20,7 +20,8 @@ import pyarrow as pa
 
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
-from shift3d.store.location import Location, UncertainError
+from shift3d.store.atomic import UncertainError
+from shift3d.store.location import Location
 from shift3d.store.log_entries import Commit, entry_name, entry_of, read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
@@ -91,8 +92,8 @@ class CommitLog:
             TakenOverError: another driver wrote this entry; these rows are not part of the sweep.
             InputError: the disk is full; nothing half-written counts.
         """
-        written = [self._write(name, table) for name, table in tables.items() if table.num_rows]
-        return self._append("commit", done, quarantined, dict(written))
+        written = {name: self._write(name, table) for name, table in tables.items() if table.num_rows}
+        return self._append("commit", done, quarantined, written)
 
     def compact(self, segment: Callable[[str], pa.Table]) -> Commit:
         """Write an entry that stands for all that are there, with one segment a table.
@@ -102,30 +103,26 @@ class CommitLog:
         Raises:
             As `commit`.
         """
-        names = dict.fromkeys(name for entry in self.entries for name, _ in entry.segments)
-        written = [self._write(name, segment(name)) for name in names]
+        names = dict.fromkeys(name for entry in self.entries for name in entry.segments)
+        written = {name: self._write(name, segment(name)) for name in names}
         done = dict.fromkeys(task for entry in self.entries for task in entry.done)
         listed = dict.fromkeys(task for entry in self.entries for task in entry.quarantined)
         left = tuple(task for task in listed if task not in done)
-        entry = self._append("compact", tuple(done), left, dict(written))
+        entry = self._append("compact", tuple(done), left, written)
         self.entries = [entry]
         return entry
 
-    def _write(self, name: str, table: pa.Table) -> tuple[str, tuple[str, int]]:
+    def _write(self, name: str, table: pa.Table) -> tuple[str, int]:
         file_name = f"{self._next:08d}-{self.driver}-{name}.parquet"
         write_table(self.folder / "data" / file_name, table)
-        return name, (file_name, table.num_rows)
+        return file_name, table.num_rows
 
     @property
     def _next(self) -> int:
         return self.entries[-1].sequence + 1 if self.entries else 0
 
     def _append(
-        self,
-        kind: str,
-        done: tuple[str, ...],
-        quarantined: tuple[str, ...],
-        segments: dict[str, tuple[str, int]],
+        self, kind: str, done: tuple[str, ...], quarantined: tuple[str, ...], segments: dict[str, tuple[str, int]]
     ) -> Commit:
         sequence = self._next
         values: dict[str, Any] = {
@@ -190,7 +187,7 @@ def committed_rows(folder: LocationLike, entries: Sequence[Commit], name: str) -
 
     Raises: InputError: a segment is missing, torn, or of another length than was committed.
     """
-    files = [(dict(entry.segments)[name], dict(entry.rows)[name]) for entry in entries if name in dict(entry.segments)]
+    files = [(entry.segments[name], entry.rows[name]) for entry in entries if name in entry.segments]
     data = as_location(folder) / "data"
     parts = data.each(lambda file: _segment(data, name, *file), files)
     return pa.concat_tables([SCHEMAS[name].empty_table(), *parts])
@@ -205,9 +202,6 @@ def _segment(data: Location, name: str, file_name: str, rows: int) -> pa.Table:
         remedy = "If it was compacted meanwhile, run the same command again; else restore it from a copy"
         raise InputError("is missing", where=str(data / file_name), remedy=remedy) from error
     if part.num_rows != rows:
-        raise InputError(
-            f"has {part.num_rows} rows, {rows} were committed",
-            where=str(data / file_name),
-            remedy="Restore it from a copy, or remove the output folder and run the sweep again",
-        )
+        remedy = "Restore it from a copy, or remove the output folder and run the sweep again"
+        raise InputError(f"has {part.num_rows} rows, {rows} were committed", str(data / file_name), remedy)
     return part

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
@@ -36,10 +37,10 @@ class Commit:
     kind: str
     driver: str
     spec_hash: str
-    done: tuple[str, ...] = ()
-    quarantined: tuple[str, ...] = ()
-    segments: tuple[tuple[str, str], ...] = ()
-    rows: tuple[tuple[str, int], ...] = ()
+    done: tuple[str, ...]
+    quarantined: tuple[str, ...]
+    segments: Mapping[str, str]
+    rows: Mapping[str, int]
 
 
 def read_log(folder: LocationLike) -> list[Commit]:
@@ -125,6 +126,6 @@ def entry_of(values: dict[str, Any], sequence: int) -> Commit:
         spec_hash=values["spec_hash"],
         done=tuple(values["done"].split()),
         quarantined=tuple(values["quarantined"].split()),
-        segments=tuple(segments.items()),
-        rows=tuple(rows.items()),
+        segments=segments,
+        rows=rows,
     )

@@ -126,8 +126,6 @@ def older_versions(version: object, where: str) -> range:
     if isinstance(version, int) and OLDEST_VERSION <= version <= SCHEMA_VERSION:
         return range(version, SCHEMA_VERSION)
     newer = isinstance(version, int) and version > SCHEMA_VERSION
-    raise InputError(
-        f"has schema version {str(version)[:20]}, this program reads {OLDEST_VERSION} to {SCHEMA_VERSION}",
-        where=where,
-        remedy="Use a newer shift3d" if newer else "Use the version of shift3d that wrote it",
-    )
+    what = f"has schema version {str(version)[:20]}, this program reads {OLDEST_VERSION} to {SCHEMA_VERSION}"
+    remedy = "Use a newer shift3d" if newer else "Use the version of shift3d that wrote it"
+    raise InputError(what, where=where, remedy=remedy)

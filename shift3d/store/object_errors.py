@@ -57,9 +57,8 @@ def explained(error: Exception, url: str) -> InputError:
         if re.search(pattern, text):
             # The store's own words where it is the network: they name the host that was asked.
             request = f" ({_request(text)})" if remedy == "{check}" else ""
-            return InputError(
-                what + request, url, remedy.format(credentials=_CREDENTIALS[scheme], check=_CHECK[scheme])
-            )
+            remedy = remedy.format(credentials=_CREDENTIALS[scheme], check=_CHECK[scheme])
+            return InputError(what + request, url, remedy)
     first = " ".join(str(error).split("Debug source")[0].split())[:300]
     return InputError(f"the store refuses ({first})", url, _CHECK[scheme])
 

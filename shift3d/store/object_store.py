@@ -19,14 +19,15 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError
 from obstore.store import GCSStore, S3Store
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, UncertainError
+from shift3d.store.atomic import UncertainError
+from shift3d.store.location import Item, Location, Result
 from shift3d.store.object_errors import check_endpoint, explained
 
 if TYPE_CHECKING:
@@ -46,8 +47,6 @@ _RETRY: RetryConfig = {
 }
 _PATIENCE = {"timeout": "60s", "connect_timeout": "3s"}
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 _ERRORS = (BaseError, OSError, ValueError, RuntimeError)
 
 
@@ -59,9 +58,8 @@ def object_location(url: str) -> ObjectLocation:
     scheme, _, rest = url.partition("://")
     bucket, _, prefix = rest.partition("/")
     if scheme not in SCHEMES:
-        raise InputError(
-            f"no files are kept under {scheme}://", where=url, remedy="Give a folder, s3://BUCKET/PREFIX or gs://..."
-        )
+        remedy = "Give a folder, s3://BUCKET/PREFIX or gs://..."
+        raise InputError(f"no files are kept under {scheme}://", where=url, remedy=remedy)
     parts = [part for part in prefix.split("/") if part]
     if not bucket or {".", ".."} & set(parts) or not url.isprintable():
         raise InputError("is not the URL of a bucket", where=url, remedy=f"Give {scheme}://BUCKET/PREFIX")

@@ -39,9 +39,7 @@ def _type(text: str) -> pa.DataType:
 
 def _without_groups(columns: str) -> Iterator[str]:
     for word in columns.split():
-        if not word.startswith("+"):
-            yield word
-        for part in _GROUPS[word.strip("+?")].split() if word.startswith("+") else ():
+        for part in _GROUPS[word.strip("+?")].split() if word.startswith("+") else [word]:
             yield part.removesuffix("?") + "?" if word.endswith("?") else part
 
 

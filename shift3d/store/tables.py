@@ -61,13 +61,8 @@ def write_table(path: LocationLike, table: pa.Table) -> None:
 
     Raises: InputError: the disk is full or not writable.
     """
-    as_location(path).write_atomic(table_bytes(table))
-
-
-def table_bytes(table: pa.Table) -> bytes:
-    """The Parquet file of a table: its bytes follow from the table's content alone."""
     # One chunk, fixed row groups and no threads' choice in them.
-    return parquet_bytes(table.combine_chunks(), row_group_size=_ROW_GROUP)
+    as_location(path).write_atomic(parquet_bytes(table.combine_chunks(), row_group_size=_ROW_GROUP))
 
 
 def parquet_bytes(table: pa.Table, **options: Any) -> bytes:

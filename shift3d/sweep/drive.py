@@ -30,7 +30,7 @@ from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.task_ids import read_task_scene
-from shift3d.sweep.planning.tasks import Tasks
+from shift3d.sweep.planning.tasks import Tasks, numbered
 from shift3d.sweep.results.commit import Committer
 from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
 from shift3d.sweep.results.reuse import take_finished
@@ -48,17 +48,13 @@ def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
 
     Source: our choice.
     """
-    templates = tasks.templates
-    names = list(dict.fromkeys(template.vehicle for template in templates))
-    vehicle = np.array([names.index(template.vehicle) for template in templates], dtype=np.int64)
-    is_shape = np.array([template.mode == "shape" for template in templates], dtype=np.int64)
+    _, vehicle = numbered(template.vehicle for template in tasks.templates)
+    is_shape = np.array([template.mode == "shape" for template in tasks.templates], dtype=np.int64)
     template = tasks.template[positions]
     runs = np.cumsum(np.diff(vehicle[template], prepend=-1) != 0)
     # In the order in which the plan comes to them. Tasks that are put into other scenes, too, stand in the same one.
-    known: dict[tuple[str, str], int] = {}
-    number = [known.setdefault(read_task_scene(text)[:2], len(known)) for text in tasks.task_scenes.to_pylist()]
-    scene = np.array(number, dtype=np.int64)[tasks.task_scene[positions]]
-    _, first, scene = np.unique(scene, return_index=True, return_inverse=True)
+    _, number = numbered(read_task_scene(text)[:2] for text in tasks.task_scenes.to_pylist())
+    _, first, scene = np.unique(number[tasks.task_scene[positions]], return_index=True, return_inverse=True)
     return positions[np.lexsort((is_shape[template], first[scene], runs))]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
+from shift3d.settings.catalogue.reading import read_catalogue
 from shift3d.settings.schema.config import RunnerConfig
 from shift3d.store.location import Location
 from shift3d.store.log_entries import Commit, read_log
@@ -47,8 +48,6 @@ def solved_tasks(folder: LocationLike) -> Plan:
 
 def follow_up_kind(run: Callable[[TaskSpec, Any], TaskResult], load: Callable[[AssetsSpec], Any]) -> TaskKind:
     """A task about another one's solutions. run, load: see `TaskKind`."""
-    from shift3d.settings.catalogue.reading import read_catalogue
-
     return TaskKind(run=run, load=load, catalogue=read_catalogue, single=False)
 
 

@@ -26,7 +26,6 @@ from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.settings.catalogue.detector_files import detector_hash
 from shift3d.settings.catalogue.reading import vehicle_source
 from shift3d.settings.renamed import current_settings
-from shift3d.settings.schema.config import DeepSdfVehicleConfig, VehicleSetConfig
 from shift3d.settings.schema.scenes import scene_config, scene_set
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.kept_grids import kept_grid
@@ -116,6 +115,10 @@ class Assets:
             made_of = self.detectors.get(name), self.modules.get(name), precision, self.layouts.get(name)
             self._detectors[name, precision] = detector_of(name, *made_of)  # type: ignore[arg-type]
         return self._detectors[name, precision]
+
+    def other_detectors(self, spec: TaskSpec) -> dict[str, Detector]:
+        """Those that score a task's objects beside the attacked one, by name, at the precision of its scores."""
+        return {name: self.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
 
     def vehicle(self, spec: TaskSpec) -> Vehicle:
         """A task's vehicle.
@@ -212,7 +215,7 @@ def load_assets(spec: AssetsSpec) -> Assets:
     for name, path in spec.detectors.items():
         found = detector_hash(name, path, spec.modules.get(name), spec.layouts.get(name))
         require_planned(f"the weights of {name}", spec.hashes.get(name), found)
-    source = vehicle_source(_vehicle_config(spec.vehicles))
+    source = vehicle_source(spec.vehicles)
     require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
     scenes = scene_set(scene_config(spec.scenes))
     assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference, spec.layouts)
@@ -232,24 +235,10 @@ def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None
         return
     source = reference_source(spec.reference)
     reference = load_reference(source, "naturalness")
-    if any(asks_for_kinds(template) for template in templates):
-        vehicles = vehicle_source(_vehicle_config(spec.vehicles))
+    if any(t.mode != "pose" and t.attack.space == "family" and t.attack.naturalness > 0 for t in templates):
+        vehicles = vehicle_source(spec.vehicles)
         with threads(spec.threads):
             kept_measures(vehicles, vehicles.decoder(), Naturalness(reference), source_hash(source), show=True)
-
-
-def asks_for_kinds(spec: TaskSpec) -> bool:
-    """Whether a task's search goes over the kinds that lie within its budget of naturalness."""
-    return spec.mode != "pose" and spec.attack.space == "family" and spec.attack.naturalness > 0
-
-
-def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehicleConfig:
-    kinds: dict[str, type[VehicleSetConfig] | type[DeepSdfVehicleConfig]] = {
-        "set": VehicleSetConfig,
-        "deepsdf": DeepSdfVehicleConfig,
-    }
-    # Without the name of one vehicle: the source is the same for all of them.
-    return kinds[values["kind"]](**{**values, "name": ""})
 
 
 def render_settings(spec: TaskSpec) -> RenderSettings:

@@ -22,7 +22,7 @@ from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets, score_precision
+from shift3d.task.assets import Assets
 from shift3d.task.differences import Differences, differences
 from shift3d.task.scoring import SCORED_NEARBY, Candidate, Nearby, Scored, score_object
 from shift3d.task.spec import TaskSpec
@@ -59,7 +59,7 @@ def score_and_audit(
 
     nearby: what scores of noisy copies start from. known: the scores of the same object, where it has been scored.
     """
-    others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
+    others = assets.other_detectors(spec)
     start_from = nearby if candidate.method in SCORED_NEARBY else None
     radius_m = spec.attack.detection_radius_m
     scored = known or score_object(problem, candidate.code, candidate.theta, radius_m, others, start_from)

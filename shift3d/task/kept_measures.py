@@ -19,7 +19,8 @@ from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.store.user_cache import keep, kept_file, read_kept, source_digest
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 
-_CODE = ("naturalness", "sdf", "processor.py", "task/kept_measures.py", "vehicles/vehicle.py")
+# What measures, and what makes the reference set.
+_CODE = ("naturalness", "sdf", "vehicles", "processor.py", "seeding.py", "task/kept_measures.py")
 
 
 def kept_measures(

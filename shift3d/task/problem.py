@@ -79,8 +79,11 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
     )
 
 
-def as_vehicle(spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: Vehicle) -> AttackProblem:
-    """The task's problem with another vehicle of the same decoder where its own stands, on the same ground."""
+def as_vehicle(spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: Vehicle | None) -> AttackProblem:
+    """The task's problem with another vehicle of the same decoder where its own stands, on the same ground; the problem
+    itself without another one."""
+    if vehicle is None:
+        return problem
     theta = problem.theta0.clone()
     theta[2] += (vehicle.size_m[2] - problem.vehicle.size_m[2]) / 2
     return build_problem(spec, assets, theta, vehicle)
@@ -96,12 +99,8 @@ def _effects(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> EffectChain | 
     from shift3d.effects.chain import EffectChain
 
     scene, settings = assets.scene(spec)[0], EffectSettings(**spec.effect_settings)
-    heading_rad = _driving_heading_rad(spec, assets) if settings.object_speed_m_s else 0.0
+    # A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose.
+    pose = placed_pose(spec, assets) if settings.object_speed_m_s else None
+    heading_rad = 0.0 if pose is None else float(pose[3])
     seed = derive_seed("effects", spec.placement_seed)
     return EffectChain.of(spec.effects, scene, vehicle, seed, settings, heading_rad)
-
-
-def _driving_heading_rad(spec: TaskSpec, assets: Assets) -> float:
-    """A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose."""
-    pose = placed_pose(spec, assets)
-    return 0.0 if pose is None else float(pose[3])

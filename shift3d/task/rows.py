@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from torch import Tensor
@@ -25,11 +26,7 @@ class Rows:
 
     def __init__(self, spec: TaskSpec) -> None:
         self._spec = spec
-        self._scores: list[Row] = []
-        self._solutions: list[Row] = []
-        self._trajectories: list[Row] = []
-        self._transfers: list[Row] = []
-        self._shapes: list[Row] = []
+        self._found = TaskResult()
         self._timings: dict[tuple[str, str], tuple[float, int]] = {}
         self._seen: set[tuple[str, int]] = set()
         self._descent: dict[str, Row] = {}
@@ -66,14 +63,14 @@ class Rows:
             same |= _summary(naturalness)
             if self._spec.mode != "pose" or candidate.method == "baseline":
                 shape = {"method": candidate.method, "replicate": candidate.replicate}
-                self._shapes.append(shape | _details(naturalness))
+                self._found.shapes.append(shape | _details(naturalness))
         for name in self._spec.scored_by:
             answer = scored.answers[name]
             row = self._row(name, candidate.method, candidate.replicate, candidate.status)
             values = {"score": answer.score, "adversarial_loss": answer.adversarial_loss}
             broken = sum(not math.isfinite(value) for value in values.values())
-            self._scores.append(row | same | values | {"non_finite": measured.non_finite + broken})
-        self._solutions.append(
+            self._found.scores.append(row | same | values | {"non_finite": measured.non_finite + broken})
+        self._found.solutions.append(
             {
                 "method": candidate.method,
                 "replicate": candidate.replicate,
@@ -90,11 +87,11 @@ class Rows:
     def skip(self, method: str, replicate: int, status: str) -> None:
         """A row a detector without a score, unless there is one already: gaps are stated, never silent."""
         if (method, replicate) not in self._seen:
-            self._scores += [self._row(name, method, replicate, status) for name in self._spec.scored_by]
+            self._found.scores.extend(self._row(name, method, replicate, status) for name in self._spec.scored_by)
 
     def attack(self, found: AttackResult) -> None:
         """The search's steps, the time that it took, by stage, and what it says of its start and its end."""
-        self._trajectories = [_step_row(record, found.best_step) for record in found.trace]
+        self._found.trajectories.extend(_step_row(record, found.best_step) for record in found.trace)
         whole = sum(record.non_finite for record in found.trace)
         ends = (("baseline", found.trace[0], found.trace[:1], 0), ("adversarial", found.best, found.trace, whole))
         for method, record, steps, met in ends:
@@ -111,7 +108,7 @@ class Rows:
 
     def transfers(self, rows: Iterable[Row]) -> None:
         """What became of the adversarial shape in other scenes."""
-        self._transfers += rows
+        self._found.transfers.extend(rows)
 
     def time(self, method: str, stage: str, milliseconds: float, calls: int = 1) -> None:
         """Add time to one stage of one method."""
@@ -124,14 +121,7 @@ class Rows:
             {"method": method, "stage": stage, "milliseconds": spent, "calls": calls}
             for (method, stage), (spent, calls) in self._timings.items()
         ]
-        return TaskResult(
-            scores=[self._described(row) for row in self._scores],
-            solutions=self._solutions,
-            timings=timings,
-            trajectories=self._trajectories,
-            transfers=self._transfers,
-            shapes=self._shapes,
-        )
+        return replace(self._found, scores=[self._described(row) for row in self._found.scores], timings=timings)
 
     def _described(self, row: Row) -> Row:
         """A row with what the search says of its object; what was met on the way adds to what was met at the end."""

@@ -56,13 +56,16 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
         searched = assets.detector_of(spec.detector, search_precision(spec))
         nearby = Nearby()
         for candidate in _candidates(spec, problem, searched, assets, rows):
-            there = _there(spec, assets, problem, candidate.vehicle)
+            there = as_vehicle(spec, assets, problem, candidate.vehicle)
             known = replace(scored, milliseconds={}) if candidate.is_same_object(unchanged) else None
             found, checked = score_and_audit(spec, assets, there, candidate, nearby, known)
             nearby.note(candidate.method, found)
             rows.add(candidate, problem.code0, found, checked, _naturalness(spec, assets, candidate, rows))
             if spec.transfer_scenes and candidate.method == "adversarial":
-                _put_elsewhere(spec, assets, candidate, rows)
+                began = time.perf_counter()
+                rows.transfers(put_elsewhere(spec, assets, candidate.code, candidate.vehicle))
+                elsewhere = len(spec.transfer_scenes) - spec.attack.search_scenes
+                rows.time("adversarial", "transfers", 1e3 * (time.perf_counter() - began), elsewhere)
         for method, replicate in _planned(spec):
             rows.skip(method, replicate, "no_random_pose")
     rows.time("adversarial", "total", 1e3 * (time.perf_counter() - start))
@@ -80,18 +83,6 @@ def _naturalness(spec: TaskSpec, assets: Assets, candidate: Candidate, rows: Row
     found = measures.of_code(vehicle, assets.decoder, code)
     rows.time(candidate.method, "naturalness", 1e3 * (time.perf_counter() - start))
     return found
-
-
-def _put_elsewhere(spec: TaskSpec, assets: Assets, found: Candidate, rows: Rows) -> None:
-    """What the shape that was found does in other scenes."""
-    start = time.perf_counter()
-    rows.transfers(put_elsewhere(spec, assets, found.code, found.vehicle))
-    rows.time(
-        found.method,
-        "transfers",
-        1e3 * (time.perf_counter() - start),
-        len(spec.transfer_scenes) - spec.attack.search_scenes,
-    )
 
 
 def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
@@ -117,7 +108,7 @@ def _candidates(
     found = search_task(spec, replace(problem, detector=searched), assets)
     rows.attack(found)
     code, theta, vehicle = found.latent_code, found.theta, _other_than(problem, found)
-    there = _there(spec, assets, problem, vehicle)
+    there = as_vehicle(spec, assets, problem, vehicle)
     distance = float((code.double() - problem.code0.double()).norm())
     rng = generator("random", spec.task_id)
     for index in range(spec.attack.random_replicates):
@@ -146,10 +137,6 @@ def _candidates(
 def _other_than(problem: AttackProblem, found: AttackResult) -> Vehicle | None:
     """The vehicle of another kind that a search has turned to; None where it kept the task's own."""
     return None if found.vehicle is problem.vehicle else cast(Vehicle, found.vehicle)
-
-
-def _there(spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: Vehicle | None) -> AttackProblem:
-    return problem if vehicle is None else as_vehicle(spec, assets, problem, vehicle)
 
 
 def _random(

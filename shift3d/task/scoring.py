@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,15 +129,21 @@ def score_object(
         frames, warm = (None, None) if nearby is None else (nearby.frames(problem, theta), nearby.warm)
         measurement = measure(problem, code, theta, warm, SCORE_RADIUS_M, frames)
         box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
-        start = time.perf_counter()
-        answers = {problem.detector.name: _answer(measurement.proposals, box, radius_m)}
         spent = dict(measurement.milliseconds)
-        spent["detector"] += 1e3 * (time.perf_counter() - start)
+        with timed(spent, "detector"):
+            answers = {problem.detector.name: _answer(measurement.proposals, box, radius_m)}
         for name, detector in (others or {}).items():
-            start = time.perf_counter()
-            answers |= score_points(problem, measurement.rendering.points, theta, radius_m, {name: detector})
-            spent[f"scored_by_{name}"] = 1e3 * (time.perf_counter() - start)
+            with timed(spent, f"scored_by_{name}"):
+                answers |= score_points(problem, measurement.rendering.points, theta, radius_m, {name: detector})
     return Scored(answers, measurement, spent)
+
+
+@contextlib.contextmanager
+def timed(spent: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the milliseconds that a block takes to those of a stage."""
+    start = time.perf_counter()
+    yield
+    spent[stage] = spent.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
 
 
 def score_points(

@@ -11,7 +11,7 @@ from torch import Tensor
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.store.schemas import POSE_COLUMNS
-from shift3d.task.assets import Assets, score_precision
+from shift3d.task.assets import Assets
 from shift3d.task.exchange import Row
 from shift3d.task.problem import as_vehicle, build_problem, placed_pose
 from shift3d.task.scoring import score_object
@@ -67,9 +67,9 @@ def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor, ve
         yield from (known | {"scored_by": name, "status": "no_placement"} for name in moved.scored_by)
         return
     problem = build_problem(moved, assets, pose)
-    others = {name: assets.detector_of(name, score_precision(moved)) for name in moved.scored_by[1:]}
+    others = assets.other_detectors(moved)
     radius_m = moved.attack.detection_radius_m
-    there = problem if vehicle is None else as_vehicle(moved, assets, problem, vehicle)
+    there = as_vehicle(moved, assets, problem, vehicle)
     stands = on_ground(code, there, SNAP_M)
     before = score_object(problem, problem.code0, pose, radius_m, others)
     after = score_object(there, code, stands, radius_m, others)

@@ -82,7 +82,7 @@ def load_segments(folder: Path) -> Any:
     """Every segment that the log names, checked."""
     rows = {}
     for entry in read_log(folder):
-        for name, file in entry.segments:
+        for name, file in entry.segments.items():
             table = read_table(folder / "data" / file, name)
             check_table(table, SCHEMAS[name])
             rows[file] = table.num_rows
@@ -129,8 +129,8 @@ def load_log(folder: Path) -> Any:
         assert dict(entry.segments).keys() == rows.keys() <= SCHEMAS.keys()
         assert all(type(count) is int and count >= 0 for count in rows.values())
         # A segment lies in data/, whatever the entry says.
-        assert all(Path(file).name == file for _, file in entry.segments)
-    return [(entry.kind, entry.done, sorted(entry.segments), sorted(entry.rows)) for entry in entries]
+        assert all(Path(file).name == file for file in entry.segments.values())
+    return [(entry.kind, entry.done, sorted(entry.segments.items()), sorted(entry.rows.items())) for entry in entries]
 
 
 def mutate_spec(folder: Path, rng: Rng) -> str:

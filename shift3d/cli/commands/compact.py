@@ -27,7 +27,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for folder in sweeps_in(arguments.out):
         if arguments.dry_run:
             entries = read_log(folder)
-            segments = [name for entry in entries for name, _ in entry.segments]
+            segments = [name for entry in entries for name in entry.segments]
             to = f"1 entry and {counted(len(set(segments)), 'segment')}"
             print(f"{folder}: {_files(len(entries), len(segments))} would become {to}")
             continue

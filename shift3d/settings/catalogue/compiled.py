@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
 _COMPARED_SCENES = 3
-_done: dict[tuple[str, ...], str] = {}
+_done: dict[str, str] = {}
 
 
 def require_score_only(config: Config) -> None:
@@ -41,14 +41,7 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
         return f"{config.file}: scores are compared with no original, as detector.original names none"
     first = tuple(islice(names, _COMPARED_SCENES))
     weights, layout = config.weights_by_name(), detector_layouts(config).get(config.original)
-    key = (
-        str(config.file),
-        config.original,
-        str(weights.get(config.original)),
-        str(config.module),
-        str(layout),
-        *first,
-    )
+    key = repr((config.file, config.original, weights.get(config.original), config.module, layout, first))
     if key not in _done:
         from shift3d.detectors.compiled.agreement import require_agreement
         from shift3d.detectors.loading import detector_of

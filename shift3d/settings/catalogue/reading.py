@@ -21,13 +21,7 @@ from shift3d.settings.catalogue.detector_files import (
 from shift3d.settings.catalogue.scene_entries import SceneEntry, scene_entries
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.schema.attack import AttackConfig
-from shift3d.settings.schema.config import (
-    AccuracyConfig,
-    Config,
-    NaturalnessConfig,
-    VehicleConfig,
-    VehicleSetConfig,
-)
+from shift3d.settings.schema.config import AccuracyConfig, Config, NaturalnessConfig
 from shift3d.settings.schema.scenes import FramesConfig, scene_set
 
 if TYPE_CHECKING:
@@ -65,14 +59,13 @@ class Catalogue:
     notes: tuple[str, ...] = ()
 
 
-def vehicle_source(config: VehicleConfig) -> VehicleSource:
-    """The vehicles that settings describe, whatever their ``name``. Files are read when something is asked of it."""
+def vehicle_source(values: Mapping[str, Any]) -> VehicleSource:
+    """The vehicles that plain settings describe, whatever their ``name``. Files are read when something is asked."""
     from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
     from shift3d.vehicles.sources import VehicleSet
 
-    if isinstance(config, VehicleSetConfig):
-        return VehicleSet(config.folder)
-    return DeepSdfVehicles(**config.model_dump(exclude={"kind", "name"}))
+    of_source = {name: value for name, value in values.items() if name not in ("kind", "name")}
+    return VehicleSet(**of_source) if values["kind"] == "set" else DeepSdfVehicles(**of_source)
 
 
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
@@ -100,14 +93,10 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
             raise messages.choice_error("setting", name, settings, "accuracy.render")
         if value is None:
             continue
-        if type(value) is not type(settings[name]) and not (
-            isinstance(value, int) and isinstance(settings[name], float) and not isinstance(value, bool)
-        ):
-            kind = type(settings[name]).__name__
-            raise InputError(
-                f"accuracy.render.{name} is {value!r}, not {kind}",
-                remedy=f"Give a {kind}, as {settings[name]!r}",
-            )
+        kind = type(settings[name]).__name__
+        if type(value) is not type(settings[name]) and (type(value), kind) != (int, "float"):
+            what = f"accuracy.render.{name} is {value!r}, not {kind}"
+            raise InputError(what, remedy=f"Give a {kind}, as {settings[name]!r}")
         settings[name] = type(settings[name])(value)
     _check_render(settings)
     precision = config.detector or _SEARCH_PRECISION[config.name]
@@ -144,16 +133,16 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     require_score_only(config)
     scenes = scene_set(config.scenes)
     entries, skipped = _entries(config, scenes, preview)
-    source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
+    source, detectors = vehicle_source(config.vehicle.model_dump()), scoring_detectors(config.detector)
     layouts, sector = detector_layouts(config.detector), scenes.placement_sector_rad
-    require_in_range(layouts, (float(sector[0]), float(sector[1])), config.attack.placement.max_range_m)
+    require_in_range(layouts, sector, config.attack.placement.max_range_m)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
     if arguments.get("beams") is None:  # a street seen by its own sensor: tasks keep their ids
         arguments.pop("beams", None)
     return Catalogue(
         scenes=entries,
         scene_arguments=arguments,
-        sector_rad=(float(sector[0]), float(sector[1])),
+        sector_rad=sector,
         vehicles=_VehicleHashes(source),
         decoder_hash=source.decoder_hash(),
         detectors={

@@ -9,7 +9,7 @@ Source: our choice.
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import hashlib
 import json
 import os
@@ -20,19 +20,18 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from shift3d.errors import InputError
 from shift3d.progress_bar import progress_bar
 from shift3d.scenes.facts import SceneFacts
-from shift3d.store.atomic import write_atomic
-from shift3d.store.user_cache import program_digest, user_cache
+from shift3d.store.user_cache import keep, program_digest, read_kept, user_cache
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
-# Layers that scenes are made by.
-_SOURCES = ("scenes", "vehicles", "sdf", "geometry", "seeding.py")
+# What scenes are made by, and what an entry is.
+_SOURCES = ("scenes", "vehicles", "sdf", "geometry", "seeding.py", "settings/catalogue/scene_entries.py")
 _FEW = 8
 """So many scenes are made for a preview, too: it takes seconds, and then the preview is exact."""
 
@@ -113,28 +112,26 @@ def _look_at(scenes: SceneSet, name: str, skip_bad: bool | None) -> SceneEntry |
         remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
         raise InputError(error.what, error.where, remedy) from error
     entry = SceneEntry(name, scene.dataset, scene.content_hash(), SceneFacts.of(scene))
-    _keep(source, entry)
+    keep(_file(source), json.dumps(asdict(entry)).encode())
     configured = scenes.configured(name)
     return entry if configured is None else replace(entry, facts=configured[1])
 
 
 def _kept(source: Sequence[object]) -> SceneEntry | None:
     """The entry that was kept for a scene, None where there is none. source: as `SceneSet.source` has it."""
-    try:
-        return TypeAdapter(SceneEntry).validate_python(json.loads(_file(source).read_bytes()))
-    except (OSError, ValueError, ValidationError, RecursionError):
-        return None
+    content = read_kept(_file(source))
+    return None if content is None else _entries().validate_python(json.loads(content))
 
 
-def _keep(source: Sequence[object], entry: SceneEntry) -> None:
-    """Keep an entry for `_kept`."""
-    with contextlib.suppress(InputError, OSError):
-        write_atomic(_file(source), json.dumps(asdict(entry)).encode())
+@functools.cache
+def _entries() -> TypeAdapter[SceneEntry]:
+    """What reads entries: it takes milliseconds to make, and a data set has thousands of scenes."""
+    return TypeAdapter(SceneEntry)
 
 
 def _file(source: Sequence[object]) -> Path:
     key = hashlib.blake2b(json.dumps([_program(), *source]).encode(), digest_size=16).hexdigest()
-    return user_cache() / "scenes" / f"{key}.json"
+    return user_cache() / "scenes" / key
 
 
 def _program() -> str:

@@ -81,17 +81,16 @@ class Backlog:
         """
         quarantined = culprit is not None and self._counted(culprit, charged) and not copied
         if not copied:
-            self._put_back([position for position in positions if position != culprit], apart)
-            self._put_back([culprit] if culprit is not None and not quarantined else [], alone=True)
+            others = [position for position in positions if position != culprit]
+            (self._alone if apart else self._again).extend(others)
+            if culprit is not None and not quarantined:
+                self._alone.append(culprit)
         return quarantined
 
     def _counted(self, position: int, charged: bool) -> bool:
         counts, most = (self._charges, _CHARGES) if charged else (self._losses, _LOSSES)
         counts[position] = counts.get(position, 0) + 1
         return counts[position] >= most
-
-    def _put_back(self, positions: Sequence[int], alone: bool) -> None:
-        (self._alone if alone else self._again).extend(positions)
 
 
 class BatchSizer:

@@ -27,11 +27,10 @@ class Progress:
         """The bar's last state stays."""
         self._bar.close()
 
-    def update(self, done: int, quarantined: int, running: Sequence[Running] = (), workers: int | None = None) -> None:
+    def update(self, done: int, quarantined: int, running: Sequence[Running], workers: int) -> None:
         """Count finished tasks; zero of both only redraws. running: what is in flight, the oldest first."""
         self._failed += quarantined
-        if workers is not None:
-            self._bar.set_description(counted(workers, "worker"), refresh=False)
+        self._bar.set_description(counted(workers, "worker"), refresh=False)
         parts = [f"{self._failed} failed"] if self._failed else []
         # Of calls that take a while it is worth knowing which they are.
         parts += [f"{running[0].label} {running[0].seconds:.0f} s"] if running and running[0].seconds >= _LONG_S else []

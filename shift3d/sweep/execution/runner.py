@@ -21,12 +21,10 @@ class Runner(Protocol):
     @property
     def workers(self) -> int:
         """How many there are to be, now."""
-        ...
 
     @property
     def left_out(self) -> Sequence[str]:
         """A line of each machine that can run no task."""
-        ...
 
     def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
         """Run until all tasks have an outcome, or, once ``stop`` is set, until those in flight have one.
@@ -35,19 +33,16 @@ class Runner(Protocol):
 
         Args: positions: of the tasks in the plan.
         """
-        ...
 
     def running(self) -> list[Running]:
         """What is in flight, the oldest first."""
-        ...
 
     def close(self) -> None:
         """End what was started, at once."""
-        ...
 
 
 class LocalRunner:
-    """This process, one task after the other. A task that hangs is not ended: nobody else is here to do it."""
+    """A `Runner` in this process, one task after the other. One that hangs is not ended: nobody is here to do it."""
 
     workers = 1
     left_out: Sequence[str] = ()
@@ -60,7 +55,6 @@ class LocalRunner:
         self._running: list[Running] = []
 
     def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
-        """See :class:`Runner`."""
         backlog = Backlog(positions, self._tried)
         while len(backlog) and not stop.is_set():
             batch = backlog.take(self._sizer.size(len(backlog), 1))
@@ -74,26 +68,19 @@ class LocalRunner:
                 return
 
     def running(self) -> list[Running]:
-        """See :class:`Runner`."""
         return self._running
 
     def close(self) -> None:
         """Nothing to end."""
 
 
-def make_runner(
-    kind: TaskKind,
-    plan: Plan,
-    config: RunnerConfig,
-    tasks_left: int,
-    tried: dict[int, int] | None = None,
-) -> Runner:
+def make_runner(kind: TaskKind, plan: Plan, config: RunnerConfig, tasks_left: int, tried: dict[int, int]) -> Runner:
     """The runner that the settings name.
 
     Args: tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
     """
     if isinstance(config, LocalRunnerConfig):
-        return LocalRunner(kind, plan, config.commit_seconds, tried or {})
+        return LocalRunner(kind, plan, config.commit_seconds, tried)
     from shift3d.sweep.execution.ray.runner import RayRunner
 
     return RayRunner(kind, plan, config, tasks_left, tried)

@@ -197,8 +197,7 @@ class Worker:
                     time.sleep(_IO_PAUSE_S[tries - 1])
                 attempt += 1
                 continue
-            rows.done = True
-            rows.result = result
+            rows.done, rows.result = True, result
             rows.attempts.append(attempt_row(spec.task_id, attempt, "done", started, time.perf_counter() - began))
             return rows
 
@@ -264,13 +263,8 @@ class _Rows:
 
 
 def _tables(results: Sequence[_Rows]) -> dict[str, pa.Table]:
-    tables = {
-        name: table_from_rows(name, [row for rows in results for row in rows.result.get(name, ())])
-        for name in SEGMENTS
-        if name != "attempts"
-    }
-    attempts = [row for rows in results for row in rows.attempts]
-    return {**tables, "attempts": table_from_rows("attempts", attempts)}
+    found = [{**rows.result, "attempts": rows.attempts} for rows in results]
+    return {name: table_from_rows(name, [row for rows in found for row in rows.get(name, ())]) for name in SEGMENTS}
 
 
 def _refuse_broken_rows(rows: _Rows, command: str) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from shift3d.effects.applicability import NEEDS, Choice, choose
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.schema.config import Config
+from shift3d.sweep.planning.tasks import numbered
 
 _WEATHER = ("fog", "rain", "snow", "wet_ground")
 _USERS: Mapping[str, tuple[str, ...]] = {
@@ -24,18 +27,8 @@ _USERS: Mapping[str, tuple[str, ...]] = {
 """The effects that use each of `EffectSettings`."""
 
 
-@dataclass(frozen=True)
-class EffectLine:
-    """What was decided about one effect. scenes: names of those for which it was decided so. reason: of the first.
-
-    milliseconds: what a rendering costs more, where that was measured.
-    """
-
-    effect: str
-    used: bool
-    reason: str
-    scenes: tuple[str, ...]
-    milliseconds: float | None
+Decision = tuple[Choice, tuple[str, ...]]
+"""What was decided about an effect, and the names of the scenes for which it was; the reason is the first one's."""
 
 
 @dataclass
@@ -74,19 +67,11 @@ class EffectChoices:
     def _kinds(self, catalogue: Catalogue) -> tuple[list[int], list[SceneFacts]]:
         """Of each scene the number of its facts, its name apart, and the facts by number."""
         if id(catalogue) not in self._alike:
-            numbers: dict[tuple[object, ...], int] = {}
-            facts: list[SceneFacts] = []
-            kind = []
-            for entry in catalogue.scenes:
-                values = tuple(value for name, value in vars(entry.facts).items() if name != "scene_id")
-                number = numbers.setdefault(values, len(numbers))
-                if number == len(facts):
-                    facts.append(entry.facts)
-                kind.append(number)
+            _, numbers = numbered(replace(entry.facts, scene_id="") for entry in catalogue.scenes)
+            first = np.unique(numbers, return_index=True)[1]
             # The catalogue is kept: no other one has its identity while it lives.
-            self._alike[id(catalogue)] = (catalogue, kind, facts)
-        _, kind, facts = self._alike[id(catalogue)]
-        return kind, facts
+            self._alike[id(catalogue)] = (catalogue, numbers.tolist(), [catalogue.scenes[at].facts for at in first])
+        return self._alike[id(catalogue)][1:]
 
     def unused(self) -> list[str]:
         """A line for each setting about scenes that no effect of any task uses."""
@@ -95,15 +80,11 @@ class EffectChoices:
             f"effects.{name}: no effect of this sweep uses it" for name in self._settings if not used & {*_USERS[name]}
         ]
 
-    def lines(self) -> tuple[EffectLine, ...]:
-        """What was decided, by effect in the order of the physics."""
-        order = {effect: number for number, effect in enumerate(NEEDS)}
-        return tuple(
-            EffectLine(choice.effect, choice.used, choice.reason, tuple(scenes), choice.milliseconds)
-            for (effect, _), (choice, scenes) in sorted(
-                self._lines.items(), key=lambda item: (order[item[0][0]], not item[0][1])
-            )
-        )
+    def decisions(self) -> tuple[Decision, ...]:
+        """What was decided, by effect in the order of the physics; one that some scenes use and others do not twice."""
+        order = list(NEEDS)
+        found = sorted(self._lines.values(), key=lambda line: (order.index(line[0].effect), not line[0].used))
+        return tuple((choice, tuple(scenes)) for choice, scenes in found)
 
 
 def _choices(config: Config, facts: SceneFacts, detector: DetectorFacts) -> dict[str, Choice]:
@@ -113,19 +94,19 @@ def _choices(config: Config, facts: SceneFacts, detector: DetectorFacts) -> dict
     return {choice.effect: choice for choice in found}
 
 
-def effect_table(lines: tuple[EffectLine, ...], scenes: int) -> str:
+def effect_table(decisions: Sequence[Decision], scenes: int) -> str:
     """The table of a plan: effect, scenes that call for it, expected cost, reason; one line where there is none."""
-    if not lines:
+    if not decisions:
         return "effects: occlusion alone; no scene calls for more"
     head = ("effect", "scenes", "ms a rendering", "why (of the first scene)")
     rows = [
         (
-            line.effect if line.used else f"({line.effect})",
-            f"{len(line.scenes)} of {scenes}",
-            "not measured" if line.milliseconds is None else f"{max(line.milliseconds, 0.0):.1f}",
-            line.reason,
+            choice.effect if choice.used else f"({choice.effect})",
+            f"{len(names)} of {scenes}",
+            "not measured" if choice.milliseconds is None else f"{max(choice.milliseconds, 0.0):.1f}",
+            choice.reason,
         )
-        for line in lines
+        for choice, names in decisions
     ]
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(3)]
     text = ["effects beside occlusion; in brackets: left out"]

@@ -14,6 +14,7 @@ import yaml  # type: ignore[import-untyped]
 
 import shift3d
 from shift3d.errors import InputError
+from shift3d.settings.compose import leaves
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
@@ -42,18 +43,12 @@ def check_folder(folder: LocationLike, plan: Plan) -> bool:
     if begun:
         found = read_spec(folder)
         if found["spec_hash"] != plan.spec_hash:
-            raise InputError(
-                f"holds another sweep ({_difference(found, plan)})",
-                where=str(folder),
-                remedy="Choose another folder with out=DIR, or give the settings that it was begun with",
-            )
+            remedy = "Choose another folder with out=DIR, or give the settings that it was begun with"
+            raise InputError(f"holds another sweep ({_difference(found, plan)})", str(folder), remedy)
         _check_requests(folder, plan)
     elif not _empty_or_begun(folder):
-        raise InputError(
-            "is not the output folder of a sweep, and not empty",
-            where=str(folder),
-            remedy="Choose another folder with out=DIR",
-        )
+        what = "is not the output folder of a sweep, and not empty"
+        raise InputError(what, str(folder), "Choose another folder with out=DIR")
     return begun
 
 
@@ -96,20 +91,10 @@ def _difference(found: dict[str, Any], plan: Plan) -> str:
         return f"{found['sweep']}, not {plan.sweep}"
     if found["tasks"] != len(plan.tasks):
         return f"{counted(found['tasks'], 'task')}, not {len(plan.tasks)}"
-    old, new = _flat(found["settings"]), _flat(plan.settings)
+    old, new = dict(leaves(found["settings"])), dict(leaves(plan.settings))
     changed = [f"{key} {old.get(key)}, not {new.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key)]
     # A processor without bfloat16 searches in float32, unless accuracy.detector says what to search in.
     return changed[0] if changed else "made from other scenes, vehicles, weights, axes or accuracy.detector"
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, dict):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
 
 
 def _spec_bytes(plan: Plan) -> bytes:
@@ -122,14 +107,10 @@ def _spec_bytes(plan: Plan) -> bytes:
         "axes": plan.axes,
         "settings": plan.settings,
         "skipped": dict(plan.skipped),
-        "assets": [_plain(dataclasses.asdict(assets)) for assets in plan.assets],
+        "assets": [dataclasses.asdict(assets) for assets in plan.assets],
     }
     text: str = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
     return text.encode()
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    return {key: dict(value) if hasattr(value, "items") else value for key, value in values.items()}
 
 
 def _environment() -> dict[str, Any]:

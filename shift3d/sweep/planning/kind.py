@@ -74,5 +74,5 @@ def with_command(row: Row, command: str) -> Row:
     """A row of ``attempts`` whose traceback ends with how to see it again."""
     if not command:
         return row
-    text = row["traceback"] or ""
-    return {**row, "traceback": f"{text}{chr(10) if text else ''}reproduce: {command} {row['task_id']}"}
+    parts = [row["traceback"], f"reproduce: {command} {row['task_id']}"]
+    return {**row, "traceback": "\n".join(part for part in parts if part)}

@@ -71,7 +71,7 @@ class Layouts:
     def _layout(self, config: Config, catalogue: Catalogue, transfers: int) -> _Layout:
         own = self._own(config, catalogue)
         others = self._others(own, len(catalogue.scenes), transfers)
-        all_scenes = own if not transfers else list(dict.fromkeys([*own, *(at for row in others for at in row)]))
+        all_scenes = list(dict.fromkeys([*own, *(at for row in others for at in row)]))
         effects = dict(zip(all_scenes, self.decided.of(config, catalogue, all_scenes), strict=True))
         scenes = catalogue.scenes
         elsewhere = {
@@ -80,7 +80,7 @@ class Layouts:
         kinds: dict[tuple[str, Effects, bool], int] = {}
         kind, place = np.empty(len(own), dtype=np.int32), np.empty(len(own), dtype=np.int32)
         for row, at in enumerate(own):
-            entry, to = scenes[at], tuple(elsewhere[other] for other in others[row]) if transfers else ()
+            entry, to = scenes[at], tuple(elsewhere[other] for other in others[row])
             concerned = bool(effects[at]) or any(other.effects for other in to)
             kind[row] = kinds.setdefault((entry.dataset, effects[at], concerned), len(kinds))
             place[row] = self.builder.task_scene((entry.name, entry.content_hash, to))
@@ -105,4 +105,4 @@ class Layouts:
             what = f"attack.search_scenes and transfer_scenes need {count} scenes, and the set has {scenes - 1} others"
             remedy = f"Give scenes.count={count + 1} or more, or fewer of them"
             raise InputError(what, where=self.where, remedy=remedy)
-        return [[(at + step) % scenes for step in range(1, count + 1)] for at in own] if count else []
+        return [[(at + step) % scenes for step in range(1, count + 1)] for at in own]

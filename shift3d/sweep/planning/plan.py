@@ -19,7 +19,7 @@ from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import Composed
 from shift3d.settings.expand import expand
 from shift3d.settings.schema.config import Config, DetectorConfig
-from shift3d.sweep.planning.effect_choices import EffectChoices, EffectLine
+from shift3d.sweep.planning.effect_choices import Decision, EffectChoices
 from shift3d.sweep.planning.layout import Layouts
 from shift3d.sweep.planning.tasks import Tasks
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
@@ -37,10 +37,9 @@ class Plan:
     """A sweep's tasks in order, without duplicates.
 
     settings: of the first task, for the reader. axes: key to values as they were written.
-    effects: what was decided about each effect for each scene, see `sweep.effects`.
+    effects: what was decided about each effect for each scene.
     skipped: scenes that cannot be read and are left out, name to why. notes: lines for the reader, of no effect.
     preview: the content of some scenes is not known, and ids are not those that the sweep will have.
-    runner, tracking: how it runs; they are no part of the hash.
     """
 
     sweep: str
@@ -49,7 +48,7 @@ class Plan:
     axes: dict[str, list[str]]
     tasks: Tasks
     assets: tuple[AssetsSpec, ...]
-    effects: tuple[EffectLine, ...] = ()
+    effects: tuple[Decision, ...] = ()
     skipped: Mapping[str, str] = field(default_factory=dict)
     preview: bool = False
     notes: tuple[str, ...] = ()
@@ -80,7 +79,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
 
     Returns: the plan, and the settings of its first task (for ``runner`` and ``tracking``).
 
-    Raises: InputError: unknown names, unreadable scenes or weights, or an empty sweep.
+    Raises: InputError: unknown names, unreadable scenes or weights, or an empty set of scenes.
     """
     where = f"sweep {composed.name}"
     catalogues: dict[str, tuple[Catalogue, int]] = {}
@@ -106,25 +105,21 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         catalogue, index = catalogues[key]
         spec = _spec(config, catalogue, _vehicle_name(config, catalogue, where))
         builder.add(*layouts.tasks_of(config, catalogue, spec), index, config.effects.label)
-    require_used(detectors, [name for catalogue, _ in catalogues.values() for name in catalogue.detectors])
-    tasks = builder.tasks()
-    if not tasks or first is None:
-        raise InputError("the sweep has no task", where=where, remedy="Give it at least one scene and one vehicle")
+    found = [catalogue for catalogue, _ in catalogues.values()]
+    require_used(detectors, [name for catalogue in found for name in catalogue.detectors])
+    assert first is not None  # an axis has values, and without axes there is one combination
     axes = {axis.key: list(axis.texts) for axis in composed.axes}
     plan = Plan(
         composed.name,
         composed.overrides,
         first.settings(),
         axes,
-        tasks,
+        builder.tasks(),
         tuple(assets),
-        decided.lines(),
-        skipped={name: why for catalogue, _ in catalogues.values() for name, why in catalogue.skipped.items()},
-        preview=not all(entry.content_hash for catalogue, _ in catalogues.values() for entry in catalogue.scenes),
-        notes=(
-            *dict.fromkeys(note for catalogue, _ in catalogues.values() for note in catalogue.notes),
-            *decided.unused(),
-        ),
+        decided.decisions(),
+        skipped={name: why for catalogue in found for name, why in catalogue.skipped.items()},
+        preview=not all(entry.content_hash for catalogue in found for entry in catalogue.scenes),
+        notes=(*dict.fromkeys(note for catalogue in found for note in catalogue.notes), *decided.unused()),
     )
     return plan, first
 

@@ -100,9 +100,7 @@ def _columns(tasks: Tasks) -> dict[str, pa.Array]:
 
 def _shared(values: Sequence[str], which: np.ndarray) -> pa.Array:
     """A text for each of ``which``, numbers into values; equal ones are stored once."""
-    numbers: dict[str, int] = {}
-    codes = np.array([numbers.setdefault(value, len(numbers)) for value in values], dtype=np.int32)
-    return pa.DictionaryArray.from_arrays(pa.array(codes[which]), pa.array(list(numbers), type=pa.string()))
+    return pa.array(values, type=pa.string()).dictionary_encode().take(pa.array(which))
 
 
 def _lists(values: Sequence[tuple[str, ...]], which: np.ndarray) -> pa.Array:

@@ -32,10 +32,7 @@ def read_spec(folder: LocationLike) -> dict[str, Any]:
             raise ValueError(f"{wrong[0]} is a {type(values[wrong[0]]).__name__}")
         return {**values, "schema_version": SCHEMA_VERSION}
     except FileNotFoundError as error:
-        raise InputError(
-            "is not the output folder of a sweep (it has no spec.yaml)",
-            where=str(folder),
-            remedy="Check the path",
-        ) from error
+        what = "is not the output folder of a sweep (it has no spec.yaml)"
+        raise InputError(what, where=str(folder), remedy="Check the path") from error
     except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
         raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error

@@ -25,32 +25,24 @@ _DIGEST = 16
 
 def _json(value: Any) -> str:
     """Canonical JSON, of other scenes by their fields. Raises TypeError for what is no plain value."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_fields)
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=dataclasses.asdict)
 
 
-def _fields(value: Any) -> dict[str, Any]:
-    if isinstance(value, TransferScene):
-        return vars(value)
-    raise TypeError(f"{value!r} has no place in a task's id")
-
-
-def template_of(spec: TaskSpec) -> TaskSpec:
-    """The spec without its scene."""
-    return dataclasses.replace(spec, scene="", scene_hash="", transfer_scenes=())
-
-
-def in_scene(template: TaskSpec, task_scene: TaskScene, task_id: str | None = None) -> TaskSpec:
-    """The spec of a template in a scene. task_id: where it is known already."""
+def in_scene(template: TaskSpec, task_scene: TaskScene, task_id: str) -> TaskSpec:
+    """The spec of a template in a scene. task_id: its id, which is not computed again."""
     scene, scene_hash, others = task_scene
     spec = dataclasses.replace(template, scene=scene, scene_hash=scene_hash, transfer_scenes=others)
-    if task_id is not None:
-        vars(spec)["task_id"] = task_id  # where functools.cached_property looks for it
+    vars(spec)["task_id"] = task_id  # where functools.cached_property looks for it
     return spec
 
 
 def template_json(template: TaskSpec) -> str:
     """The one spelling of a template: its canonical JSON without the scene."""
-    return _json({name: value for name, value in template.to_dict().items() if name not in _VARYING})
+    return _json(_shared_values(template))
+
+
+def _shared_values(template: TaskSpec) -> dict[str, Any]:
+    return {name: value for name, value in template.to_dict().items() if name not in _VARYING}
 
 
 def read_template(text: str) -> TaskSpec:
@@ -102,7 +94,7 @@ def _digests(template: TaskSpec, texts: Sequence[tuple[str, str, str]], task_sce
 
 def _template_parts(template: TaskSpec) -> tuple[str, str, str, str]:
     """The canonical JSON of a spec, cut where the scene, its hash and the scenes of transfers stand."""
-    values = {name: value for name, value in template.to_dict().items() if name not in _VARYING}
+    values = _shared_values(template)
     first, second, third = _VARYING
     cuts: list[list[str]] = [[], [], [], []]
     for name in sorted(values):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +16,15 @@ from shift3d.errors import InputError
 from shift3d.sweep.planning.task_ids import TaskScene, in_scene, read_task_scene
 from shift3d.task.spec import TaskSpec
 from shift3d.wording import counted
+
+Value = TypeVar("Value", bound=Hashable)
+
+
+def numbered(values: Iterable[Value]) -> tuple[list[Value], np.ndarray]:
+    """Distinct values in the order in which they first come, and of each value its place among them, (N,) int64."""
+    places: dict[Value, int] = {}
+    found = np.array([places.setdefault(value, len(places)) for value in values], dtype=np.int64)
+    return list(places), found
 
 
 @dataclass(frozen=True)
@@ -86,14 +95,8 @@ class Tasks(Sequence[PlannedTask]):
         """Whether the same tasks stand in the same order, with the same assets and settings of effects."""
         if not isinstance(other, Tasks):
             return NotImplemented
-        if not (self.ids.equals(other.ids) and np.array_equal(self.assets, other.assets)):
-            return False
-        if self.requested_values == other.requested_values:
-            return np.array_equal(self.requested, other.requested)
-        return all(
-            self.requested_values[one] == other.requested_values[two]
-            for one, two in zip(self.requested, other.requested, strict=True)
-        )
+        same = self.ids.equals(other.ids) and np.array_equal(self.assets, other.assets)
+        return same and self.effects_requested_of(self.ids) == other.effects_requested_of(other.ids)
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -147,8 +150,7 @@ class Tasks(Sequence[PlannedTask]):
 
     def scenes(self) -> list[tuple[str, str]]:
         """The scenes that tasks are in, (data set, name), in the order of their first task."""
-        names = list(dict.fromkeys(template.dataset for template in self.templates))
-        dataset = np.array([names.index(template.dataset) for template in self.templates], dtype=np.int64)
+        names, dataset = numbered(template.dataset for template in self.templates)
         keys, first = np.unique(dataset[self.template] * len(self.task_scenes) + self.task_scene, return_index=True)
         pairs = (divmod(int(keys[index]), len(self.task_scenes)) for index in np.argsort(first))
         return list(dict.fromkeys((names[code], self._scenes[task_scene][0]) for code, task_scene in pairs))
@@ -156,18 +158,13 @@ class Tasks(Sequence[PlannedTask]):
     def ambiguous_scenes(self) -> list[tuple[str, str]]:
         """(data set, name) of scenes that differ in their content although name and `scene_arguments` are the same, as
         frames of two folders do; in the order of their first task. Contents that are not known yet are left out."""
-        arguments = [json.dumps(template.scene_arguments, sort_keys=True) for template in self.templates]
-        kinds = [(template.dataset, text) for template, text in zip(self.templates, arguments, strict=True)]
-        scenes = [scene[:2] for scene in self._scenes]
-        made, known = list(dict.fromkeys(kinds)), list(dict.fromkeys(scenes))
-        kind_number, scene_number = ({pair: at for at, pair in enumerate(pairs)} for pairs in (made, known))
-        kind = np.array([kind_number[pair] for pair in kinds], dtype=np.int64)[self.template]
-        scene = np.array([scene_number[pair] for pair in scenes], dtype=np.int64)[self.task_scene]
-        keys, first = np.unique(kind * len(known) + scene, return_index=True)
+        made, kind = numbered((t.dataset, json.dumps(t.scene_arguments, sort_keys=True)) for t in self.templates)
+        known, scene = numbered(scene[:2] for scene in self._scenes)
+        keys, first = np.unique(kind[self.template] * len(known) + scene[self.task_scene], return_index=True)
         contents: dict[tuple[int, str], set[str]] = {}
-        for key in keys[np.argsort(first)].tolist():
-            name, content = known[key % len(known)]
-            contents.setdefault((key // len(known), name), set()).add(content)
+        for at, number in (divmod(key, len(known)) for key in keys[np.argsort(first)].tolist()):
+            name, content = known[number]
+            contents.setdefault((at, name), set()).add(content)
         alike = [(made[at][0], name) for (at, name), hashes in contents.items() if len(hashes - {""}) > 1]
         return list(dict.fromkeys(alike))
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pyarrow as pa
 
-from shift3d.sweep.planning.task_ids import TaskScene, task_ids, task_scene_json, template_of
+from shift3d.sweep.planning.task_ids import TaskScene, task_ids, task_scene_json
 from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.task.spec import TaskSpec
 
@@ -34,7 +34,7 @@ class TasksBuilder:
 
     def template(self, spec: TaskSpec) -> int:
         """The number of a spec without its task_scene; the same for equal ones."""
-        template = template_of(spec)
+        template = dataclasses.replace(spec, scene="", scene_hash="", transfer_scenes=())
         number = self._templates.setdefault(template.canonical_json(), len(self._templates))
         if number == len(self._template_specs):
             self._template_specs.append(template)
@@ -58,9 +58,7 @@ class TasksBuilder:
         key = template.astype(np.int64) * max(len(task_scenes), 1) + task_scene
         _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
         order = np.argsort(first)
-        rank = np.empty(len(order), dtype=np.int64)
-        rank[order] = np.arange(len(order))
-        requested, requested_values = self._requested(rank[inverse], len(order))
+        requested, requested_values = self._requested(np.argsort(order)[inverse], len(order))
         at = first[order]
         sizes = [len(chunk.template) for chunk in self._chunks]
         assets = np.repeat(np.array([chunk.assets for chunk in self._chunks], dtype=np.int32), sizes)

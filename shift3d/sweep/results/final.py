@@ -186,7 +186,6 @@ def _gaps(rows: list[dict[str, Any]], planned: _Planned) -> list[dict[str, Any]]
         group = dict(zip(_PLAN_GROUP, key))
         for method in methods:
             if (*key, method) not in seen:
-                empty = {"auc": None, "scores": 0, "tasks_scored": 0, "tasks_planned": count}
-                losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}
-                gaps.append({**group, "method": method, **empty, **losses})
+                empty = {"scores": 0, "tasks_scored": 0, "tasks_planned": count, "selected": False}
+                gaps.append({**group, "method": method, **empty})
     return gaps

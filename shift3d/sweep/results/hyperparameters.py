@@ -57,9 +57,9 @@ def choose_lambdas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
     rows = rows[(rows["mode"] != "pose") & rows["adversarial_loss"].notna()]
     chosen = {}
     for key, members in rows.groupby(list(RULE_KEYS), sort=False):
-        losses = members.pivot_table(index=_SCENE, columns="lambda", values="adversarial_loss", aggfunc="mean")
-        means, tasks = _common_means(losses)
-        chosen[tuple(key)] = Choice(means, select_lambda(means), tasks)
+        common = _common(members.pivot_table(index=_SCENE, columns="lambda", values="adversarial_loss", aggfunc="mean"))
+        means = {float(weight): float(loss) for weight, loss in common.mean().items()}
+        chosen[tuple(key)] = Choice(means, select_lambda(means), len(common))
     return chosen
 
 
@@ -79,11 +79,10 @@ def choose_alphas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
     chosen = {}
     for key, members in rows[kept].groupby(list(_ALPHA_KEYS), sort=False):
         scores = members.pivot_table(index=["vehicle", *_SCENE], columns="alpha", values="score", aggfunc="mean")
-        common = scores.dropna()
-        by_vehicle = (common if len(common) else scores).groupby(level="vehicle").mean()
-        means = {float(alpha): float(auc) for alpha, auc in by_vehicle.mean().items()}
+        common = _common(scores)
+        means = {float(alpha): float(auc) for alpha, auc in common.groupby(level="vehicle").mean().mean().items()}
         best = min(means, key=lambda alpha: (means[alpha], alpha))
-        chosen[tuple(key)] = Choice(means, best, len(common) or len(scores))
+        chosen[tuple(key)] = Choice(means, best, len(common))
     return chosen
 
 
@@ -93,7 +92,7 @@ def choice_rows(scored: pd.DataFrame, sweep: str, steps: set[int]) -> list[dict[
     known = {"sweep": sweep}
     alphas, lambdas = choose_alphas(scored), choose_lambdas(scored)
     for key, choice in alphas.items():
-        named = dict(zip(_ALPHA_KEYS, key)) | {"vehicle": None, "alpha": None}
+        named = dict(zip(_ALPHA_KEYS, key))
         of = ", ".join([f"the {named['mode']}", *_distinguished(named, _ALPHA_KEYS, alphas, ("mode",))])
         rows += _candidates(known | named | {"parameter": "alpha"}, choice, _why_alpha(of, choice, steps))
     for key, choice in lambdas.items():
@@ -116,11 +115,10 @@ def _found(scored: pd.DataFrame) -> pd.DataFrame:
     return scored[(scored["method"] == "adversarial") & (scored["scored_by"] == scored["detector"])]
 
 
-def _common_means(table: pd.DataFrame) -> tuple[dict[float, float], int]:
-    """Means of the columns over the rows that have all of them; over all rows where none has."""
+def _common(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows that have all columns; all rows where none has."""
     common = table.dropna()
-    rows = common if len(common) else table
-    return {float(name): float(value) for name, value in rows.mean().items()}, len(rows)
+    return common if len(common) else table
 
 
 def _candidates(known: dict[str, Any], choice: Choice, why: str) -> list[dict[str, Any]]:

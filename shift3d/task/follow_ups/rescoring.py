@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -17,10 +15,10 @@ from shift3d.render.rendering import Rendering
 from shift3d.seeding import generator
 from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig
-from shift3d.task.assets import Assets, score_precision
+from shift3d.task.assets import Assets
 from shift3d.task.differences import Differences, differences
 from shift3d.task.problem import build_problem
-from shift3d.task.scoring import SCORED_NEARBY, Nearby, Scored, score_object, score_points
+from shift3d.task.scoring import SCORED_NEARBY, Nearby, Scored, score_object, score_points, timed
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -80,10 +78,7 @@ class Problems:
         """
         settings = accuracy_settings(AccuracyConfig(name="reference", render={}))
         reference = dataclasses.replace(spec, accuracy="reference", accuracy_settings=settings)
-        others, others_reference = (
-            {name: assets.detector_of(name, score_precision(which)) for name in spec.scored_by[1:]}
-            for which in (spec, reference)
-        )
+        others, others_reference = assets.other_detectors(spec), assets.other_detectors(reference)
         theta, vehicle = solution.theta, solution.vehicle
         problem, true_problem = (build_problem(which, assets, theta, vehicle) for which in (spec, reference))
         return Problems(problem, true_problem, others, others_reference)
@@ -95,18 +90,18 @@ def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Ver
     spent: dict[str, float] = {}
     radius_m = spec.attack.detection_radius_m
     nearby = problems.nearby if solution.method in SCORED_NEARBY else None
-    with _timed(spent, "again"):
+    with timed(spent, "again"):
         again = _score(problems.standard, solution.code, solution.theta, radius_m, problems.others, nearby)
     problems.nearby.note(solution.method, again)
-    with _timed(spent, "reference"):
+    with timed(spent, "reference"):
         true = _score(problems.reference, solution.code, solution.theta, radius_m, problems.others_reference)
     everyone = {problems.standard.detector.name: problems.standard.detector, **problems.others}
-    with _timed(spent, "noise"):
+    with timed(spent, "noise"):
         noisy = [
             score_points(problems.standard, points, solution.theta, radius_m, everyone)
             for points in _noisy_points(spec, problems.standard, again.measurement.rendering)
         ]
-    with _timed(spent, "nearby"):
+    with timed(spent, "nearby"):
         near = [
             _score(problems.standard, solution.code, theta, radius_m, problems.others)
             for theta in _nearby(spec, solution.theta)
@@ -122,13 +117,6 @@ def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Ver
         unresolved_reference=truth.unresolved_beams,
         milliseconds=spent,
     )
-
-
-@contextlib.contextmanager
-def _timed(spent: dict[str, float], stage: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    spent[stage] = 1e3 * (time.perf_counter() - start)
 
 
 def _score(

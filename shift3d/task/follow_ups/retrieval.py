@@ -13,7 +13,6 @@ from shift3d.retrieval.pool import Pool, excluded
 from shift3d.retrieval.reconstruction import Reconstructor
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
-from shift3d.task.assets import score_precision
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.follow_ups.rescoring import Solution
 from shift3d.task.follow_ups.vehicle_pool import reconstructor_of
@@ -60,7 +59,7 @@ def retrieval_task(spec: TaskSpec, held: RetrievalAssets) -> TaskResult:
     before = solutions["baseline", 0].scores
     code = solution.code.double().numpy()
     nearest, distance = held.pool.nearest(code)
-    others = {name: held.held.assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
+    others = held.held.assets.other_detectors(spec)
     rows: list[Row] = []
     chosen = [("retrieved", nearest), *(("control", index) for index in held.pool.controls(nearest, CONTROLS))]
     for number, (role, index) in enumerate(chosen):

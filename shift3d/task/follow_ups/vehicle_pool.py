@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -24,7 +23,7 @@ from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
-from shift3d.task.scoring import detections_until
+from shift3d.task.scoring import detections_until, timed
 from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
@@ -68,21 +67,18 @@ def pool_task(spec: TaskSpec, held: PoolAssets) -> TaskResult:
     Source: SHIFT3D, supplement, 'Retrieving the Nearest Match'.
     """
     scene, _ = held.assets.scene(spec)
-    spent = {}
-    start = time.perf_counter()
-    crops = crop_vehicles(scene)
-    spent["crop"] = time.perf_counter() - start
-    start = time.perf_counter()
-    scores = _scores(spec, held.assets, scene, crops)
-    spent["detector"] = time.perf_counter() - start
-    start = time.perf_counter()
-    truth = _true_meshes(held.assets, spec.scene, crops)
-    rows = [_row(held.reconstructor, crop, truth.get(crop.label)) | {"score": scores[crop.label]} for crop in crops]
-    rows = [row | {"detector": spec.detector} for row in rows]
-    spent["fit"] = time.perf_counter() - start
+    spent: dict[str, float] = {}
+    with timed(spent, "crop"):
+        crops = crop_vehicles(scene)
+    with timed(spent, "detector"):
+        scores = _scores(spec, held.assets, scene, crops)
+    with timed(spent, "fit"):
+        truth = _true_meshes(held.assets, spec.scene, crops)
+        known = [{"score": scores[crop.label], "detector": spec.detector} for crop in crops]
+        rows = [_row(held.reconstructor, crop, truth.get(crop.label)) | more for crop, more in zip(crops, known)]
     timings: list[Row] = [
-        {"method": "pool", "stage": stage, "milliseconds": 1e3 * seconds, "calls": len(crops)}
-        for stage, seconds in spent.items()
+        {"method": "pool", "stage": stage, "milliseconds": milliseconds, "calls": len(crops)}
+        for stage, milliseconds in spent.items()
     ]
     return TaskResult(timings=timings, vehicle_pool=rows)
 

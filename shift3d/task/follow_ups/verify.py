@@ -13,6 +13,7 @@ the blind spot.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -162,9 +163,9 @@ def verified_rows(solution: Solution, verified: Verified, start: Solution, basel
             "score_reference": reference,
             "margin": margin,
             "margin_reference": margin_reference,
-            "score_noise": _mean(verified.noise[name]),
+            "score_noise": fmean(verified.noise[name]),
             "least_margin_noise": min(noise),
-            "score_nearby": _mean(verified.nearby[name]),
+            "score_nearby": fmean(verified.nearby[name]),
             "least_margin_nearby": min(nearby),
             "stable": stable,
             "robust": min(*noise, *nearby) >= margin - max(SCORE_TOLERANCE, margin / 2),
@@ -172,10 +173,6 @@ def verified_rows(solution: Solution, verified: Verified, start: Solution, basel
         }
         rows.append(row | same)
     return rows
-
-
-def _mean(values: list[float]) -> float:
-    return sum(values) / len(values)
 
 
 def _cause(name: str, score: float, verified: Verified, baseline: Verified, moved: float) -> str:

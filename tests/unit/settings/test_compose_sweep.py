@@ -15,9 +15,9 @@ from omegaconf import OmegaConf
 
 from shift3d.errors import InputError
 from shift3d.render.settings import RenderSettings
-from shift3d.settings.compose import compose_sweep, sweep_names, validate
+from shift3d.settings.compose import compose_sweep, validate
 from shift3d.settings.expand import expand
-from shift3d.settings.folders import shipped
+from shift3d.settings.folders import files, shipped
 
 ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]  # the sweep file's own axes, each at one value
 SWEEPS = [
@@ -79,7 +79,7 @@ def test_an_override_wins_over_the_option_that_it_belongs_to() -> None:
 
 
 # accuracy_time is measured by `shift3d frontier`, see test_frontier_config.
-@pytest.mark.parametrize("name", [name for name in sweep_names() if name != "accuracy_time"])
+@pytest.mark.parametrize("name", [name for name in files("sweeps") if name != "accuracy_time"])
 def test_every_sweep_is_valid(name: str) -> None:
     overrides = ["scenes.root=somewhere"] if name == "kitti" else []
     assert list(expand(compose_sweep(name, overrides)))

@@ -10,9 +10,9 @@ from shift3d.cli.completion import overrides, plan_words
 from shift3d.cli.job_spec import take_job
 from shift3d.cli.main import main
 from shift3d.errors import InputError
-from shift3d.settings.compose import compose_sweep, sweep_names
+from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
-from shift3d.settings.folders import own_folders, places, shipped
+from shift3d.settings.folders import files, own_folders, places, shipped
 
 
 @pytest.fixture(params=["team", "a team's folder, 2 = two"])
@@ -34,7 +34,7 @@ def steps(name: str, *words: str) -> set[int]:
 
 
 def test_an_empty_folder_has_what_ships(team: Path) -> None:
-    assert {"default", "smoke"} <= set(sweep_names()) and steps("smoke") == {5}
+    assert {"default", "smoke"} <= set(files("sweeps")) and steps("smoke") == {5}
     assert own_folders() == [] and [folder.is_dir() for folder in places("sweeps")] == [False, True]
 
 

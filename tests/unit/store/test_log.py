@@ -22,7 +22,7 @@ def test_what_is_committed_is_read_back(tmp_path: Path) -> None:
     assert [entry.kind for entry in entries] == ["session", "commit", "commit"]
     assert [entry.sequence for entry in entries] == [0, 1, 2]
     assert entries == log.entries
-    name = dict(entries[1].segments)["timings"]
+    name = entries[1].segments["timings"]
     assert read_table(tmp_path / "data" / name, "timings").to_pylist() == [TIMING]
     again = CommitLog(tmp_path, "spec")
     assert again.done() == {"a", "b"}

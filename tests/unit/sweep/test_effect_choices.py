@@ -43,10 +43,10 @@ def test_auto_on_dry_scenes_asks_for_the_same_tasks_as_none() -> None:
 def test_auto_takes_what_one_scene_calls_for_there_and_nowhere_else() -> None:
     plan = plan_of(of=one_foggy)
     assert {task.spec.scene: task.spec.effects for task in plan.tasks} == {"north": ("fog",), "south": ()}
-    (line,) = plan.effects
-    assert (line.effect, line.used, line.scenes) == ("fog", True, ("north",)) and "40 m" in line.reason
+    ((choice, scenes),) = plan.effects
+    assert (choice.effect, choice.used, scenes) == ("fog", True, ("north",)) and "40 m" in choice.reason
     table = effect_table(plan.effects, 2).splitlines()
-    assert "fog" in table[2] and "1 of 2" in table[2] and line.reason in table[2]
+    assert "fog" in table[2] and "1 of 2" in table[2] and choice.reason in table[2]
 
 
 def test_what_is_said_of_scenes_is_part_of_the_tasks_that_use_it() -> None:

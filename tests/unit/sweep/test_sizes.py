@@ -13,9 +13,9 @@ from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.catalogue.scene_entries import SceneEntry
-from shift3d.settings.compose import compose_sweep, sweep_names
+from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
-from shift3d.settings.folders import shipped
+from shift3d.settings.folders import files, shipped
 from shift3d.settings.schema.config import Config
 from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.sweep.planning.plan import make_plan
@@ -108,7 +108,7 @@ def test_completion_offers_the_sizes() -> None:
 
 
 def test_every_sweep_can_be_composed() -> None:
-    assert set(PAPERS) < set(sweep_names())
+    assert set(PAPERS) < set(files("sweeps"))
 
 
 @pytest.mark.parametrize(

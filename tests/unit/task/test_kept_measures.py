@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import shutil
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 import pytest
 import torch
 from short_tasks import NO_GRID, STREET, WIDE, make_spec
 
+from shift3d.naturalness.build import reference_file
 from shift3d.naturalness.measure import NO_SURFACE, Naturalness, NaturalnessMeasure
 from shift3d.naturalness.reference import Nearest
 from shift3d.naturalness.sizes import Sizes
@@ -68,6 +69,19 @@ def test_what_is_read_is_what_was_measured_to_the_bit(shipped: VehicleSource, an
 def test_another_reference_set_is_measured_anew(shipped: VehicleSource) -> None:
     kept(shipped, Counted())
     assert kept(shipped, other := Counted(), "another") and other.measured
+
+
+def test_code_that_makes_another_reference_set_measures_anew(
+    shipped: VehicleSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A measure is held against the members of the set: what they depend on, it depends on."""
+    made: list[str] = []
+    measured: list[str] = []
+    monkeypatch.setattr("shift3d.naturalness.build.source_digest", lambda *parts: made.extend(parts) or "digest")
+    monkeypatch.setattr("shift3d.task.kept_measures.source_digest", lambda *parts: measured.extend(parts) or "digest")
+    reference_file(reference_source(WIDE))
+    kept(shipped, Counted())
+    assert made and all(any(PurePath(part).is_relative_to(whole) for whole in measured) for part in made)
 
 
 def test_other_threads_and_another_machine_may_round_differently(

@@ -52,6 +52,7 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
         )
     import ray
 
+    where = f"runner.address={config.address}"
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     try:
         if config.address:
@@ -71,18 +72,11 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
                 )
             _end_idle_helpers(ray)
     except ray.exceptions.AuthenticationError as error:
-        raise InputError(
-            "this Ray asks for a token, and ours is none or another one",
-            where=f"runner.address={config.address}",
-            remedy="Copy the token from there, or name its file in RAY_AUTH_TOKEN_PATH",
-        ) from error
+        remedy = "Copy the token from there, or name its file in RAY_AUTH_TOKEN_PATH"
+        raise InputError("this Ray asks for a token, and ours is none or another one", where, remedy) from error
     except (ConnectionError, RuntimeError, ValueError, OSError, ray.exceptions.RpcError) as error:
         message = " ".join(str(error).split())[:300]
-        raise InputError(
-            f"Ray did not start: {message}",
-            where=f"runner.address={config.address}",
-            remedy="Check the address, or use runner=local",
-        ) from error
+        raise InputError(f"Ray did not start: {message}", where, "Check the address, or use runner=local") from error
     return ray
 
 

@@ -46,14 +46,11 @@ def submit_sweep(
     print(f"{job} on {address}: {command}", flush=True)
     try:
         asyncio.run(_show(client, job))
+        details = client.get_job_info(job)
     except KeyboardInterrupt:
         print(f"\nthe sweep goes on; to end it as Ctrl-C would: ray job stop {job} --address {address}")
         return int(ExitCode.INTERRUPTED)
     # The tunnel or the dashboard is gone: Ray, aiohttp and requests each have errors of their own.
-    except Exception as error:
-        raise _unseen(job, address, error) from error
-    try:
-        details = client.get_job_info(job)
     except Exception as error:
         raise _unseen(job, address, error) from error
     if details.status in ("PENDING", "RUNNING"):
@@ -62,9 +59,7 @@ def submit_sweep(
         return 0
     if details.driver_exit_code is None:
         what = " ".join(str(details.message).split())[:300]
-        raise InputError(
-            f"{job} did not run ({details.status}): {what}", where=address, remedy="The same command again"
-        )
+        raise InputError(f"{job} did not run ({details.status}): {what}", address, "The same command again")
     return int(details.driver_exit_code)
 
 

@@ -41,7 +41,7 @@ _HEARTBEAT_S = 0.5
 
 
 class RayRunner:
-    """Runs tasks in Ray actors, on this machine or a cluster.
+    """A `Runner`: tasks in Ray actors, on this machine or a cluster.
 
     tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
 
@@ -85,18 +85,15 @@ class RayRunner:
 
     @property
     def left_out(self) -> list[str]:
-        """See :class:`Runner`."""
         return self._pool.left_out.lines
 
     def running(self) -> list[Running]:
-        """See :class:`Runner`."""
         tasks = self._plan.tasks
         return [
             Running(tasks[c.positions[0]], len(c.positions), c.seconds, c.worker.process) for c in self._calls.live()
         ]
 
     def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
-        """See :class:`Runner`."""
         self._backlog = Backlog(positions, self._tried)
         while self._calls or (self._backlog and not stop.is_set()):
             self._pool.grow(len(self._backlog) + len(self._calls))
@@ -137,9 +134,9 @@ class RayRunner:
             outcome: BatchOutcome = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             self._pool.lost(call.worker)
-            return (
-                self._failed_call(call, failure_of(self._ray, error, call.worker.node_id)) if wanted else BatchOutcome()
-            )
+            if not wanted:
+                return BatchOutcome()
+            return self._failed_call(call, failure_of(self._ray, error, call.worker.node_id))
         if outcome.fatal:
             return self._not_loaded(call, outcome, outcome.fatal, wanted)
         self._leave_unreadable(call, outcome)
@@ -195,9 +192,7 @@ class RayRunner:
 
     def _row(self, position: int, call: Call, failure: Failure, alone: bool, quarantined: bool) -> dict[str, Any]:
         outcome = failure.kind if alone or not failure.charged else "bystander"
-        row = attempt_row(
-            self._plan.tasks.ids[position].as_py(), call.attempt, outcome, call.began_unix_s, call.seconds
-        )
+        row = attempt_row(self._id(position), call.attempt, outcome, call.began_unix_s, call.seconds)
         row |= {"error": failure.what, "traceback": failure.traceback if alone else None, "quarantined": quarantined}
         row |= {"worker": call.worker.process}
         return with_command(row, self._command) if quarantined else row

@@ -67,11 +67,8 @@ def _create(path: Path) -> None:
         finally:
             temporary.unlink()
     except OSError as error:
-        raise InputError(
-            f"no token can be written ({error.strerror})",
-            where=str(path),
-            remedy=f"Name another file in {_PATH}",
-        ) from error
+        what = f"no token can be written ({error.strerror})"
+        raise InputError(what, where=str(path), remedy=f"Name another file in {_PATH}") from error
 
 
 def _check(path: Path) -> None:
