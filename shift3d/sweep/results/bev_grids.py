@@ -70,4 +70,5 @@ def _cells(xy: Any, before: Any, after: Any) -> Iterator[dict[str, Any]]:
 
 
 def _empty(corner: tuple[float, float]) -> dict[str, Any]:
-    return {"cell_x_m": corner[0], "cell_y_m": corner[1], "cell_size_m": CELL_SIZE_M, "scores": 0}
+    cell = {"cell_x_m": corner[0], "cell_y_m": corner[1], "cell_size_m": CELL_SIZE_M, "scores": 0}
+    return cell | {"mean_score_baseline": None, "mean_score": None, "mean_reduction": None}
