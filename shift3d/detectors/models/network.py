@@ -118,22 +118,21 @@ class DetectorNet(nn.Module, ABC):
 
     def batch_features(
         self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
-    ) -> tuple[list[Pillars], Tensor]:
+    ) -> tuple[Sequence[Pillars], Tensor]:
         """The pillars that hold a point of each window, and the features (P, channels) of all, window by window.
 
         clouds: (N_b, 3), network frame, metres. pillars: those of each window, where they are at hand. Differentiable
         w.r.t. the points.
         """
         if pillars is None:
-            pillars = [
-                assign_pillars(points, self.grid, window) for points, window in zip(clouds, windows, strict=True)
-            ]
+            pairs = zip(clouds, windows, strict=True)
+            pillars = [assign_pillars(points, self.grid, window) for points, window in pairs]
         together = side_by_side(pillars, [len(points) for points in clouds])
-        decorated = self.decorated(clouds[0] if len(clouds) == 1 else torch.cat(list(clouds)), together)
+        decorated = self.decorated(torch.cat(list(clouds)), together)
         if not len(together.counts):
-            return list(pillars), decorated.new_zeros(0, self.channels)
+            return pillars, decorated.new_zeros(0, self.channels)
         with torch.autocast(decorated.device.type, enabled=False):  # bfloat16 knows a coordinate to 0.3 m at 70 m
-            return list(pillars), self.encode(decorated, together)
+            return pillars, self.encode(decorated, together)
 
     def pillar_features(self, points: Tensor, window: BevWindow) -> tuple[Pillars, Tensor]:
         """`batch_features` of one window."""

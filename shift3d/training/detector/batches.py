@@ -1,6 +1,6 @@
 """Examples of each step, made while the network computes: in a thread beside a CPU, in processes beside a GPU.
 
-A core makes some twenty a second. What needs no network is made there, so that a GPU waits for little.
+A core makes some twenty a second.
 """
 
 from __future__ import annotations
