@@ -25,7 +25,7 @@ def as_location(place: LocationLike) -> Location:
     if isinstance(place, str) and not place.strip():
         raise InputError("the name of a folder is empty", remedy="Give one; is a variable of the shell unset?")
     if isinstance(place, str) and "://" in place:
-        from shift3d.store.object_store import object_location  # late: obstore is not needed for folders
+        from shift3d.store.buckets.object_store import object_location  # late: obstore is not needed for folders
 
         return object_location(place)
     try:

@@ -13,8 +13,8 @@ from faulty_proxy import FaultyProxy, faulty_proxy
 from obstore.exceptions import PermissionDeniedError
 
 from shift3d.errors import InputError
-from shift3d.store import object_store
 from shift3d.store.atomic import UncertainError
+from shift3d.store.buckets import object_store
 from shift3d.store.location import Location
 from shift3d.store.log import CommitLog, TakenOverError
 from shift3d.store.log_entries import read_log

@@ -12,11 +12,11 @@ import pytest
 from bucket_server import new_bucket
 
 from shift3d.errors import InputError
+from shift3d.store.buckets.object_store import ObjectLocation
 from shift3d.store.housekeeping import collect, compact, find_garbage
 from shift3d.store.location import LocalLocation, Location
 from shift3d.store.log import CommitLog, TakenOverError, committed_rows
 from shift3d.store.log_entries import read_log
-from shift3d.store.object_store import ObjectLocation
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import table_from_rows, write_table
 

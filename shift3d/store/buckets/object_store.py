@@ -27,8 +27,8 @@ from obstore.store import GCSStore, S3Store
 
 from shift3d.errors import InputError
 from shift3d.store.atomic import UncertainError
+from shift3d.store.buckets.object_errors import check_endpoint, explained
 from shift3d.store.location import Item, Location, Result
-from shift3d.store.object_errors import check_endpoint, explained
 
 if TYPE_CHECKING:
     from obstore.store import RetryConfig

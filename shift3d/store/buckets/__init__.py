@@ -1,0 +1,1 @@
+"""Folders in S3 and GCS, and what their errors say to a reader."""
