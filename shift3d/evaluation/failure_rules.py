@@ -44,34 +44,47 @@ class FailureRule:
 
 
 def find_rules(quantities: Mapping[str, FloatArray], scores: FloatArray, most: int = 5) -> list[FailureRule]:
-    """Rules under which scores are low, the lowest first; none where nothing tells objects apart.
+    """A list of rules under which scores are low; none where nothing tells objects apart.
 
-    A regression tree of at most three levels splits the objects; the leaves whose mean lies at least 0.05 below that
-    of all other objects are the rules.
+    A regression tree of at most three levels splits the objects. The leaf with the lowest mean is the first rule,
+    where its mean lies at least 0.05 below that of all other objects. The next rule is found in the same way among the
+    objects that no rule before it holds for: so a large effect does not hide a smaller one.
 
     Args: quantities: (N,) finite values by name. scores: (N,). most: rules to return.
-    Source: CART (Breiman et al. 1984) by scikit-learn; depth and least numbers are our choice.
+    Source: CART (Breiman et al. 1984) by scikit-learn; separate and conquer (Fürnkranz 1999). Depth and least numbers
+    are our choice.
     """
     least = max(LEAST_OBJECTS, math.ceil(LEAST_SHARE * len(scores)))
+    values = {name: np.asarray(column, np.float64) for name, column in quantities.items()}
+    rest = np.ones(len(scores), dtype=bool)
+    found: list[FailureRule] = []
+    while len(found) < most:
+        rule = _lowest_leaf({name: column[rest] for name, column in values.items()}, scores[rest], least)
+        if rule is None:
+            break
+        found.append(rule)
+        rest &= ~rule.holds(values)
+    return found
+
+
+def _lowest_leaf(quantities: Mapping[str, FloatArray], scores: FloatArray, least: int) -> FailureRule | None:
+    """The rule of one tree, over leaves of at least so many objects."""
     if len(scores) < 2 * least or not quantities:
-        return []
+        return None
     from sklearn.tree import DecisionTreeRegressor
 
-    names = list(quantities)
-    table = np.column_stack([np.asarray(quantities[name], np.float64) for name in names])
     # What the smallest rule takes of the variance; a split that takes less makes none.
     least_decrease = LEAST_SHARE * (1 - LEAST_SHARE) * LEAST_DROP**2
     model = DecisionTreeRegressor(
         max_depth=DEPTH, min_samples_leaf=least, min_impurity_decrease=least_decrease, random_state=0
     )
-    tree = model.fit(table, scores).tree_
-    found = []
-    for conditions in _leaves(tree, names, 0, ()):
-        rule = FailureRule(_merged(conditions))
-        inside = rule.holds({name: table[:, index] for index, name in enumerate(names)})
-        if conditions and scores[inside].mean() <= scores[~inside].mean() - LEAST_DROP:
-            found.append((float(scores[inside].mean()), rule))
-    return [rule for _, rule in sorted(found, key=lambda pair: pair[0])[:most]]
+    tree = model.fit(np.column_stack(list(quantities.values())), scores).tree_
+    rules = [FailureRule(_merged(conditions)) for conditions in _leaves(tree, list(quantities), 0, ()) if conditions]
+    means = [scores[rule.holds(quantities)].mean() for rule in rules]
+    if not rules:
+        return None
+    lowest = rules[int(np.argmin(means))]
+    return lowest if min(means) <= scores[~lowest.holds(quantities)].mean() - LEAST_DROP else None
 
 
 def _leaves(tree: object, names: Sequence[str], node: int, above: tuple[Condition, ...]) -> list[tuple[Condition, ...]]:

@@ -40,8 +40,8 @@ _METHODS = ("baseline", "random", "random_budget", "edited", "adversarial")
 class TriedRule:
     """A rule and the difference in mean score between objects that it holds for and the others, by group of objects.
 
-    objects: that it holds for, where it was found. tried: by the name of the group; a group without objects on either
-    side is not in it.
+    Neither are objects that a rule before it in the list holds for. objects: that it holds for, where it was found.
+    tried: by the name of the group; a group without objects on either side is not in it.
     """
 
     rule: FailureRule
@@ -59,7 +59,7 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     """Rules found on every other scene and every other vehicle, before the attacked detector, and tried on the rest.
 
     Tried on the same vehicles in the other scenes, on the other vehicles, and on the scores that the other detectors
-    give to all of these.
+    give to all of these; each on the objects that no rule before it holds for.
 
     objects: see `rules_objects`; those that `left_out` counts take no part.
     Raises: InputError where there are too few scenes to find rules on some and try them on others.
@@ -74,6 +74,7 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     here = objects["place"].isin(scenes[::2])
     ours = objects["vehicle"].isin(vehicles[::2])
     attacked = objects["scored_by"] == objects["detector"]
+    found_on = here & ours & attacked
     groups = {
         "other scenes": ~here & ours & attacked,
         "other vehicles": ~ours & attacked,
@@ -82,9 +83,18 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
             for name in sorted(objects["scored_by"][~attacked].unique())
         },
     }
-    part = objects[here & ours & attacked]
-    rules = find_rules(_quantities(part, known), part["score"].to_numpy(np.float64))
-    return [_tried(rule, part, {name: objects[rows] for name, rows in groups.items()}, known) for rule in rules]
+    scores, rest = objects["score"].to_numpy(np.float64), np.ones(len(objects), dtype=bool)
+    tried = []
+    for rule in find_rules(_quantities(objects[found_on], known), scores[found_on]):
+        holds = rule.holds(_quantities(objects, known))
+        trials = {name: _difference(objects, holds, rows & rest) for name, rows in groups.items()}
+        found, count = _difference(objects, holds, found_on & rest), int((holds & found_on & rest).sum())
+        assert found is not None, "where it was found a rule tells objects apart"
+        tried.append(
+            TriedRule(rule, count, found, {name: trial for name, trial in trials.items() if trial is not None})
+        )
+        rest &= ~holds
+    return tried
 
 
 def _known(objects: pd.DataFrame) -> list[str]:
@@ -130,25 +140,26 @@ def _quantities(rows: pd.DataFrame, names: list[str]) -> dict[str, NDArray[np.fl
     return {name: rows[name].to_numpy(np.float64) for name in names}
 
 
-def _tried(rule: FailureRule, part: pd.DataFrame, groups: Mapping[str, pd.DataFrame], known: list[str]) -> TriedRule:
-    tried = {}
-    for name, rows in groups.items():
-        inside = rule.holds(_quantities(rows, known)) if len(rows) else np.zeros(0, bool)
-        if inside.any() and not inside.all():
-            tried[name] = difference_interval(rows["score"], inside, list(rows["place"]))
-    inside = rule.holds(_quantities(part, known))
-    found = difference_interval(part["score"], inside, list(part["place"]))
-    return TriedRule(rule, int(inside.sum()), found, tried)
+def _difference(objects: pd.DataFrame, holds: NDArray[np.bool_], rows: pd.Series) -> Interval | None:
+    """In mean score, between the objects of some rows that a rule holds for and the others; None where a side is empty.
+
+    holds, rows: (N,) of the objects.
+    """
+    inside, part = holds[rows], objects[rows]
+    if inside.all() or not inside.any():
+        return None
+    return difference_interval(part["score"], inside, list(part["place"]))
 
 
 def rules_table(rules: list[TriedRule]) -> Table:
-    """A line a rule: objects, what it costs where it was found, and where it was tried."""
+    """A line a rule: objects that no line above it holds for, what it costs where it was found, and where tried."""
     groups = list(dict.fromkeys(name for rule in rules for name in rule.tried))
-    lines = []
+    lines: list[list[str]] = []
     for tried in rules:
         cells = [interval_text(tried.tried[name], 2) if name in tried.tried else "-" for name in groups]
         verdict = "yes" if tried.confirmed and len(tried.tried) == len(groups) else "no"
-        lines.append([rule_text(tried.rule), str(tried.objects), interval_text(tried.found, 2), *cells, verdict])
+        words = f"{'else ' if lines else ''}{rule_text(tried.rule)}"
+        lines.append([words, str(tried.objects), interval_text(tried.found, 2), *cells, verdict])
     header = ["", "objects", "AUC against the others", *groups, "holds"]
     return Table("Failure rules: what the objects that are missed share", header, lines)
 

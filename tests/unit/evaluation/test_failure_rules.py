@@ -43,6 +43,15 @@ def test_a_range_between_two_bounds_is_one_condition() -> None:
     assert len(rule.conditions) == 1 and rule_text(rule) == "range 25 m to 35 m"
 
 
+def test_a_large_effect_does_not_hide_a_smaller_one() -> None:
+    """Compared with all others, half of which score 0.1, far objects would score more than they."""
+    quantities = drawn()
+    low, far = quantities["height_m"] <= 1.6, quantities["range_m"] > 40
+    first, second = find_rules(quantities, np.where(low, 0.1, np.where(far, 0.6, 0.8)))
+    assert (first.holds(quantities) == low).all()
+    assert (second.holds(quantities)[~low] == far[~low]).all()
+
+
 def test_no_rule_where_nothing_tells_objects_apart() -> None:
     assert find_rules(drawn(), np.full(400, 0.7)) == []
     assert find_rules({}, np.linspace(0, 1, 400)) == []
@@ -91,6 +100,19 @@ def test_a_rule_holds_where_it_holds_on_everything_that_it_was_not_found_on() ->
     assert all(interval.mean == pytest.approx(-0.6, abs=0.05) for interval in found.tried.values())
     assert [condition.quantity for condition in found.rule.conditions] == ["range_m"]
     assert str(rules_table([found])).splitlines()[-1].endswith("yes")
+
+
+def test_a_rule_is_tried_on_the_objects_that_no_rule_before_it_holds_for() -> None:
+    rows = objects(scenes=80)
+    low, far = rows["height_m"] <= 1.6, rows["range_m"] > 35
+    first, second = failure_rules(rows.assign(score=np.where(low, 0.1, np.where(far, 0.6, 0.8))))
+    assert [found.rule.conditions[0].quantity for found in (first, second)] == ["height_m", "range_m"]
+    assert first.confirmed and second.confirmed
+    assert all(interval.mean == pytest.approx(-0.2) for interval in second.tried.values())
+    assert [line.startswith("else range") for line in str(rules_table([first, second])).splitlines()[-2:]] == [
+        False,
+        True,
+    ]
 
 
 def test_a_rule_of_some_vehicles_alone_does_not_hold() -> None:

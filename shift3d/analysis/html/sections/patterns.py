@@ -12,9 +12,10 @@ from shift3d.errors import InputError
 from shift3d.vehicles.mesh_measures import DEFINITIONS
 
 _RULES_LEAD = (
-    "Rules that a shallow tree found on every other scene and every other vehicle. Each column shows the mean score of "
-    "the objects that a rule holds for, less that of all others, on objects that it was not found on. A rule holds "
-    "where all of these lie below zero with 95 % confidence. It says what goes together, not what causes it."
+    "Rules that shallow trees found on every other scene and every other vehicle. A rule is about the objects that no "
+    "rule above it holds for. Each column shows the mean score of the objects that it holds for, less that of all "
+    "others, on objects that it was not found on. A rule holds where all of these lie below zero with 95 % confidence. "
+    "It says what goes together, not what causes it."
 )
 
 

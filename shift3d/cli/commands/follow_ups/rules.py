@@ -8,9 +8,10 @@ from shift3d.cli.command import FINISHED, Command
 
 _DESCRIPTION = """\
 Says what the objects share that the detector misses: range, angle to the line of sight, tilt, length, width, height
-and ground clearance. A shallow regression tree finds rules on every other scene and every other vehicle of a finished
-sweep. Each rule is then tried on the other scenes, on the other vehicles, and on the other detectors' scores. A rule
-holds where the score falls in all of these, with 95 % confidence."""
+and ground clearance. Shallow regression trees find a list of rules on every other scene and every other vehicle of a
+finished sweep. A rule is about the objects that no rule above it holds for. Each rule is then tried on the other
+scenes, on the other vehicles, and on the other detectors' scores. A rule holds where the score falls in all of these,
+with 95 % confidence."""
 
 _EPILOG = """\
 examples:
