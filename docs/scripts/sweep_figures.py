@@ -194,7 +194,7 @@ def _edits(sweep: Sweep) -> Figures:
     edits = list(dict.fromkeys(rows["search"]))
     if len(edits) != 2:
         return
-    sizes = sweep.shapes[sweep.shapes["method"] == "edited"].set_index("task_id")[["height_m", "width_m"]]
+    sizes = sweep.shapes[sweep.shapes["method"] == "edited"].set_index("task_id")[["length_m", "width_m", "height_m"]]
     rows = rows.join(sizes, on="task_id")
     wide = rows.pivot_table(index=_OBJECT, columns="search", values=["score", *sizes])
     for (vehicle, detector), pairs in wide.dropna().groupby(_OBJECT[:2], sort=False):
