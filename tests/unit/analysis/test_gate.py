@@ -71,19 +71,21 @@ def test_a_roll_back_is_the_last_release_from_then_on(folder: Path) -> None:
 
 @pytest.mark.parametrize(("bias", "accept"), [(-1.5, "true"), (-2.6, "anyway")])
 def test_an_accepted_release_run_again_repeats_its_verdict(folder: Path, bias: float, accept: Acceptance) -> None:
-    """With or without accept=, twice, the files are what was found against the release before."""
+    """With or without accept=, the files are what was found against the release before; what was accepted passes."""
     gate(folder, -2.0, "true")
-    first = gate(folder, bias, accept)
+    gate(folder, bias, accept)
     files = {path.name: path.read_bytes() for path in (folder / f"out{bias:g}").glob("gate.*")}
     verdict = (folder / f"out{bias:g}" / "verdict.json").read_bytes()
     assert json.loads(verdict)["facts"]["against"] == "release 1"
     again: tuple[Acceptance, ...] = ("false", "true", accept)
     for choice in again:
         same = gate(folder, bias, choice)
-        assert same.exit_code == first.exit_code and "not accepted" not in same.text and "release 2" in same.text
+        assert same.exit_code == ExitCode.DONE and "not accepted" not in same.text and "release 2" in same.text
         assert (folder / f"out{bias:g}" / "verdict.json").read_bytes() == verdict
         assert {path.name: path.read_bytes() for path in (folder / f"out{bias:g}").glob("gate.*")} == files
     assert len(releases(folder)) == 2
+    worse = ExitCode.WORSE if bias < -2.0 else ExitCode.DONE
+    assert gate(folder, bias, against=1).exit_code == worse, "what is asked for is answered"
     assert "same weights" in gate(folder, bias, against=2).text, "they are compared with themselves where that is said"
 
 
