@@ -129,7 +129,7 @@ def evaluate_detector(
     opened_scenes = open_scenes()
     scene_names = opened_scenes.names()
     if file and name not in (OWN, ONNX):  # what lies beside these is the user's
-        refuse_tuned_scenes(file, [(scene, "") for scene in scene_names])
+        refuse_tuned_scenes(file, [(opened_scenes.dataset, scene, "") for scene in scene_names])
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, open_scenes, workers, score_threshold)
     found = answers_of(scene_names, out / "scenes", detect, partial(_state_of_files, opened_scenes))

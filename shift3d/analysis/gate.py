@@ -30,13 +30,15 @@ _SHOWN = 8
 @dataclass(frozen=True)
 class GateSettings:
     """rule: when weights are worse. workers: processes.
-    against: number of the release to compare with, None: the last. accept: whether the scores become the next release:
-    "true" where nothing got worse, "anyway" whatever was found."""
+    against: number of the release to compare with, None: the last of other weights. accept: whether the scores become
+    the next release: "true" where nothing got worse, "anyway" whatever was found. name: tells the detector from others
+    of its kind, see `suite.releases.last_release`."""
 
     rule: Rule = field(default_factory=Rule)
     workers: int = 1
     against: int | None = None
     accept: Acceptance = "false"
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,15 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     Source: our choice: the paper has no gate.
     """
     _check(suite, scorer, settings.rule)
-    last = last_release(suite, releases, scorer.name, settings.against)
+    detector = _detector(scorer, settings)
+    newest = last_release(suite, releases, detector)
+    again = newest if newest and newest.number and newest.weights == scorer.digest else None
+    last = last_release(suite, releases, detector, settings.against, but=scorer.digest)
+    if last is None and again:
+        text = f"these weights are {again.name} already, the first: there is none before it to compare them with"
+        return Outcome(ExitCode.DONE, text, compared=False)
     if last is None and settings.accept == "false":
-        what = f"{scorer.name} has no release to compare with, and did not score all of the suite's objects"
+        what = f"{detector} has no release to compare with, and did not score all of the suite's objects"
         raise InputError(what, str(releases), "Give accept=true to make these weights the first release")
     _claim(out, suite, scorer)
     scores: dict[str, float] = {}
@@ -70,18 +78,22 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
             bar.update(len(table))
     after = {key: scores[key] for key in suite.objects["object_id"]}
     if last is None:
-        number = accept_release(suite, releases, scorer, after)
+        number = accept_release(suite, releases, detector, scorer.digest, after)
         text = f"{counted(len(after), 'object')} scored; accepted as release {number}, the first"
         return Outcome(ExitCode.DONE, text, compared=False)
     if missing := set(after) - set(last.scores):
         raise InputError(f"has no score of {counted(len(missing), 'object')}", f"{last.name} of {last.detector}")
     found = compare(suite.objects, last.scores, after, settings.rule)
     texts = _write(out, suite, scorer, found, last, settings)
+    # What was accepted passes as long as it is the last: a pipeline runs again without new weights.
+    passes = not found.worse or (again is not None and settings.against is None)
     if settings.accept == "anyway" or (settings.accept == "true" and not found.worse):
-        texts.append(f"accepted as release {accept_release(suite, releases, scorer, after)}")
+        texts.append(f"accepted as release {accept_release(suite, releases, detector, scorer.digest, after)}")
+    elif again:
+        texts.append(f"these weights are {again.name} already")
     elif settings.accept == "true":
         texts.append("not accepted: accept=anyway accepts a release that is worse")
-    return Outcome(ExitCode.WORSE if found.worse else ExitCode.DONE, "\n\n".join(filter(None, texts)))
+    return Outcome(ExitCode.DONE if passes else ExitCode.WORSE, "\n\n".join(filter(None, texts)))
 
 
 def _write(
@@ -112,6 +124,11 @@ def _check(suite: FrozenSuite, scorer: Scorer, rule: Rule) -> None:
         scorer.at(precision)
 
 
+def _detector(scorer: Scorer, settings: GateSettings) -> str:
+    """Whose releases it is compared with, see `suite.releases.last_release`."""
+    return f"{scorer.name}:{settings.name}" if settings.name else scorer.name
+
+
 def _claim(out: Location, suite: FrozenSuite, scorer: Scorer) -> None:
     """Write whose answers the folder holds, or refuse one that holds others."""
     held = {"suite": suite.digest, "detector": scorer.name, "weights": scorer.digest}
@@ -140,7 +157,7 @@ def _facts(suite: FrozenSuite, scorer: Scorer, last: Release, settings: GateSett
         "sweep": f"{manifest['made']['sweep']}-{manifest['made']['spec_hash']}",
         "objects": f"{manifest['hard_objects']} hard, {manifest['control_objects']} controls, "
         f"{manifest['scenes']} scenes of {', '.join(manifest['datasets'])}",
-        "detector": scorer.name,
+        "detector": _detector(scorer, settings),
         "weights": scorer.digest,
         "against": last.name,
         "weights before": last.weights,

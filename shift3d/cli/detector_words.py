@@ -44,6 +44,13 @@ def detector_files(name: str, values: Mapping[str, str], command: str) -> Detect
     return DetectorFiles(values.get("weights", values.get("file")), values.get("module"), layout)
 
 
+def detector_name(name: str, values: Mapping[str, str]) -> str:
+    """What tells a detector from others of its kind: the name of the file that it cannot do without; "" for those that
+    ship."""
+    needed, _ = _NEEDED.get(name, ("", ""))
+    return Path(values[needed]).stem if needed else ""
+
+
 def _foreign_layout(name: str, values: Mapping[str, str], command: str) -> dict[str, Any]:
     """What the config of a detector of another codebase says."""
     from shift3d.detectors.foreign.detector import foreign_layout

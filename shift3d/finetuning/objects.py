@@ -79,9 +79,9 @@ class SweepObjects:
         return found
 
     @property
-    def scenes(self) -> dict[str, str]:
-        """Content hash by the names of `by_scene`."""
-        return {name: row.spec.scene_hash for name, row in self.by_scene.items()}
+    def scenes(self) -> list[tuple[str, str, str]]:
+        """Data set, name and content hash of each scene."""
+        return list(dict.fromkeys((row.spec.dataset, row.spec.scene, row.spec.scene_hash) for row in self.objects))
 
 
 def scored_objects(folder: LocationLike, detector: str, methods: tuple[str, ...]) -> SweepObjects:

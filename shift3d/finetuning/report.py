@@ -81,11 +81,14 @@ Model = tuple[str, int | None]
 
 
 def natural_areas(folders: Mapping[Model, Path]) -> dict[Model, dict[tuple[str, str], Area]]:
-    """AP and APH of models over the natural scenes that all of them have been evaluated on. folders: of evaluations."""
-    files = {key: {file.name: file for file in sorted((own / "scenes").glob("*.npz"))} for key, own in folders.items()}
-    # A folder may hold more, from the same command with more streets.
-    shared = sorted(set.intersection(*map(set, files.values())))
-    return {key: overall_areas([read_answer(own[name]).frame for name in shared]) for key, own in files.items()}
+    """AP and APH of models over the natural scenes that the last evaluation of each was of. folders: of evaluations."""
+    # Answers may be more, from the same command with more streets.
+    tables = [pq.read_table(own / "timings.parquet", columns=["scene"]) for own in folders.values()]
+    shared = sorted(set.intersection(*(set(table["scene"].to_pylist()) for table in tables)))
+    return {
+        key: overall_areas([read_answer(own / "scenes" / f"{name}.npz").frame for name in shared])
+        for key, own in folders.items()
+    }
 
 
 def mirror(folder: Path, models: Sequence[Tuned], uri: str, experiment: str) -> str | None:

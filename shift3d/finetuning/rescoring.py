@@ -44,7 +44,7 @@ def rescored(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
         InputError: as `scored_objects`; weights that cannot be loaded, or that were fine-tuned on a scene of the sweep.
     """
     found = scored_objects(folder, detector, METHODS)
-    refuse_tuned_scenes(weights, found.scenes.items())
+    refuse_tuned_scenes(weights, found.scenes)
     scores = []
     judges: dict[str, Detector] = {}
     for row in tqdm(found.objects, desc=f"objects scored by {weights.parent.name}", mininterval=5.0):

@@ -28,26 +28,17 @@ STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
 STREET_SPLITS = ("train", "val", "test")
 
 
-_STREET = re.compile(r"(street-[a-z]+-[a-z0-9_]+-\d{6,})(?:-(?!seed\d+$)[a-z0-9._-]+?)?(-seed\d+)?")
-_STREETS = re.compile(rf"(street-(?:{'|'.join(STREET_SENSORS)}))(?:-[a-z0-9._-]+)?")
-
-
-def street_of(scene: str) -> str:
-    """The name of a scene's street, whatever options the scene has; of other scenes their own name."""
-    found = _STREET.fullmatch(scene)
-    return f"{found[1]}{found[2] or ''}" if found else scene
+_STREET = re.compile(r"(street-[a-z]+-([a-z0-9_]+)-\d{6,})(?:-(?!seed\d+$)[a-z0-9._-]+?)?(-seed\d+)?")
 
 
 def place_of(dataset: str, scene: str) -> str:
     """Where a scene of a data set lies, "DATASET/SCENE".
 
-    Scenes of one street lie in one place whatever options they have, as other beams or weather: they are no independent
-    draws.
+    Scenes of one street lie in one place whatever set they are of, as one of mixed sensors, and whatever options they
+    have, as other beams or weather: they are no independent draws.
     """
-    streets = _STREETS.fullmatch(dataset)
-    if streets is None or _STREET.fullmatch(scene) is None:
-        return f"{dataset}/{scene}"
-    return f"{streets[1]}/{street_of(scene)}"
+    found = _STREET.fullmatch(scene)
+    return f"street-{found[2]}/{found[1]}{found[3] or ''}" if found else f"{dataset}/{scene}"
 
 
 class SceneSet(Protocol):

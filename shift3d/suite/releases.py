@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from shift3d.errors import InputError
 from shift3d.store.location import Location
 from shift3d.suite.frozen import FrozenSuite
-from shift3d.suite.scoring import Scorer
 from shift3d.suite.tables import SUITE_SCHEMAS, read_suite_table, suite_table, suite_table_bytes
 
 if TYPE_CHECKING:
@@ -34,44 +33,78 @@ class Release:
         return f"release {self.number}" if self.number else "the weights of the sweep"
 
 
-def last_release(suite: FrozenSuite, folder: Location, detector: str, number: int | None = None) -> Release | None:
+def last_release(
+    suite: FrozenSuite, folder: Location, detector: str, number: int | None = None, but: str = ""
+) -> Release | None:
     """The last accepted release of a detector, or the one of a number; else what the sweep's own weights scored; None:
     the detector has never scored all of these objects, or several of its weights have.
 
+    What states a kind without a name, as the sweep's scores do, is the detector's where no other of the kind has
+    releases.
+
+    Args:
+        detector: its kind, such as "pointpillars"; "KIND:NAME" where detectors of one kind are told apart.
+        but: digest of weights whose releases are passed over.
     Raises: InputError: no release of that number and detector, or a file that is damaged or another suite's.
     """
-    for name in sorted(filter(_NAME.fullmatch, folder.names()), reverse=True):
-        release = _read(suite, folder / name, int(name[:8]))
-        if release.detector == detector and number in (None, release.number):
+    kind = _kind(detector)
+    found = _releases(suite, folder, kind)
+    alone = {release.detector for release in found} <= {kind, detector}
+    wanted = {detector, kind} if alone or number else {detector}
+    for release in found:
+        if release.detector in wanted and (release.weights != but if number is None else release.number == number):
             return release
     if number:
         raise InputError(f"there is no release {number} of {detector}", str(folder), "Leave against= out for the last")
     table = read_suite_table(suite.folder / "scores.parquet", "scores").to_pandas()
-    own = table[table["detector"] == detector]
+    own = table[table["detector"] == (kind if alone else detector)]
     # What only some objects were scored by, or several weights have scored, is no release.
     whole = set(suite.objects["object_id"]) <= set(own["object_id"]) and own["weights"].nunique() == 1
     return _release(own, 0) if whole else None
 
 
-def accept_release(suite: FrozenSuite, folder: Location, scorer: Scorer, scores: Mapping[str, float]) -> int:
+def refuse_unknown_name(suite: FrozenSuite, folder: Location, detector: str) -> None:
+    """Refuse a name that nobody gave where others of its kind have releases and it has none: it would be the first of
+    its own, compared with nothing. detector: see `last_release`. Raises: InputError naming the others.
+    """
+    kind, _, name = detector.partition(":")
+    named = {release.detector for release in _releases(suite, folder, kind)} - {kind}
+    if named and detector not in named:
+        others = sorted(other.partition(":")[2] for other in named)
+        remedy = f"Give name={others[0]} for its next release, or name={name} for another detector"
+        raise InputError(f"holds releases of {', '.join(others)}, none of {name}", str(folder), remedy)
+
+
+def accept_release(
+    suite: FrozenSuite, folder: Location, detector: str, weights: str, scores: Mapping[str, float]
+) -> int:
     """Put scores into the history as the next release; its number. The last release once more is not put in again.
 
+    detector: see `last_release`. weights: their digest.
     Raises: InputError: another gate was quicker, or the folder cannot be written to.
     """
-    last = last_release(suite, folder, scorer.name)
-    if last is not None and last.number and (last.weights, last.scores) == (scorer.digest, scores):
+    last = last_release(suite, folder, detector)
+    if last is not None and last.number and (last.weights, last.scores) == (weights, scores):
         return last.number
     taken = [int(found[1]) for name in folder.names() if (found := _NAME.fullmatch(name))]
     number = max(taken, default=0) + 1
-    rows = [
-        {"object_id": key, "detector": scorer.name, "weights": scorer.digest, "score": score}
-        for key, score in scores.items()
-    ]
+    rows = [{"object_id": key, "detector": detector, "weights": weights, "score": scores[key]} for key in scores]
     metadata = {**SUITE_SCHEMAS["scores"].metadata, b"shift3d.suite": suite.digest.encode()}
     content = suite_table_bytes(suite_table("scores", rows).replace_schema_metadata(metadata))
     if not (folder / f"{number:08d}.parquet").put_if_absent(content):
         raise InputError(f"release {number} was accepted by another gate", str(folder), "Run this one again")
     return number
+
+
+def _kind(detector: str) -> str:
+    return detector.partition(":")[0]
+
+
+def _releases(suite: FrozenSuite, folder: Location, kind: str) -> list[Release]:
+    """Accepted releases of detectors of a kind, newest first."""
+    names = sorted(filter(_NAME.fullmatch, folder.names()), reverse=True)
+    found = [_read(suite, folder / name, int(name[:8])) for name in names]
+    return [release for release in found if _kind(release.detector) == kind]
 
 
 def _read(suite: FrozenSuite, file: Location, number: int) -> Release:

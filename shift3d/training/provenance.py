@@ -13,7 +13,7 @@ import torch
 
 from shift3d import __version__
 from shift3d.errors import InputError
-from shift3d.scenes.sets import street_of
+from shift3d.scenes.sets import place_of
 from shift3d.store.atomic import write_atomic
 
 
@@ -56,25 +56,35 @@ def read_provenance(weights_file: Path) -> dict[str, Any] | None:
     return facts
 
 
-def shared_scenes(seen: Collection[tuple[str, str]], measured: Collection[tuple[str, str]]) -> list[str]:
-    """Names of the measured scenes that are seen ones: by their name, by their content, or of the same street.
+def shared_scenes(seen: Collection[tuple[str, str, str]], measured: Collection[tuple[str, str, str]]) -> list[str]:
+    """Names of the measured scenes that are seen ones: by their data set and name, by their content, or of the same
+    street.
 
-    Scenes: name and content hash, which is empty where it is not known. A street in other weather is the same street.
+    Scenes: data set, name and content hash. Where the data set of a seen one is empty, its name alone counts; an empty
+    hash is not known. A street in other weather is the same street.
     """
-    streets, hashes = {street_of(name) for name, _ in seen}, {value for _, value in seen if value}
-    return sorted({name for name, value in measured if street_of(name) in streets or value in hashes})
+    places, hashes = {place_of(*scene[:2]) for scene in seen}, {value for *_, value in seen if value}
+    return sorted(
+        {
+            name
+            for dataset, name, value in measured
+            if {place_of(dataset, name), place_of("", name)} & places or value in hashes
+        }
+    )
 
 
-def refuse_tuned_scenes(weights_file: Path, scenes: Collection[tuple[str, str]]) -> None:
+def refuse_tuned_scenes(weights_file: Path, scenes: Collection[tuple[str, str, str]]) -> None:
     """Refuse to measure weights on scenes that they, or weights that they started from, were fine-tuned on.
 
     scenes: as of `shared_scenes`. Weights without provenance, or that were trained otherwise, pass.
     Raises: InputError naming the scenes, or a provenance that cannot be read.
     """
-    tuned: set[tuple[str, str]] = set()
+    tuned: set[tuple[str, str, str]] = set()
     facts = read_provenance(weights_file)
     while facts:
-        tuned.update((facts.get("finetuned_on") or {}).get("scenes", {}).items())
+        found = (facts.get("finetuned_on") or {}).get("scenes", [])
+        # An older program wrote hashes by names.
+        tuned.update([("", *scene) for scene in found.items()] if isinstance(found, dict) else map(tuple, found))
         facts = facts.get("before")
     if both := shared_scenes(tuned, scenes):
         what = f"was fine-tuned on {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"

@@ -13,8 +13,11 @@ from tqdm import tqdm
 from shift3d.sdf.samples import bounding_scale, sample_sdf
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_arrays
+from shift3d.store.user_cache import program_digest
 from shift3d.training.processes import each
 from shift3d.vehicles.family import VehicleSpec, build_mesh, family
+
+_CODE = ("sdf/samples.py", "seeding.py", "training/sdf_shapes.py", "vehicles/family")
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,10 @@ def _sampled(task: tuple[VehicleSpec, int, int, int]) -> tuple[NDArray[np.float3
 def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: int) -> ShapeSamples:
     """Sample the training shapes, or read them back from `cache` (a folder) when it holds just these.
 
-    The samples of a shape are in random order, so that consecutive slices are fair batches.
+    What another program sampled is sampled again. The samples of a shape are in random order, so that consecutive
+    slices are fair batches.
     """
-    file = cache / f"shapes-{shapes}-{samples}-{seed}.npz"
+    file = cache / f"shapes-{shapes}-{samples}-{seed}-{program_digest(*_CODE)[:16]}.npz"
     if not file.is_file():
         tasks = [(spec, samples, seed, index) for index, spec in enumerate(family(shapes, seed))]
         work = each(_sampled, tasks, processes)
@@ -62,7 +66,7 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
 
 def shape_scales(shapes: int, seed: int, cache: Path) -> NDArray[np.float64]:
     """Metres per sdf unit of the training shapes (S,), from the cached samples, or from their meshes without them."""
-    for file in sorted(cache.glob(f"shapes-{shapes}-*-{seed}.npz")):
+    for file in sorted(cache.glob(f"shapes-{shapes}-*-{seed}-{program_digest(*_CODE)[:16]}.npz")):
         with np.load(file, allow_pickle=False) as data:
             return np.asarray(data["scale_m"], np.float64)
     return np.array([bounding_scale(build_mesh(spec)) for spec in family(shapes, seed)])

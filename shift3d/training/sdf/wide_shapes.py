@@ -15,9 +15,11 @@ from tqdm import tqdm
 from shift3d.sdf.samples import SPHERE_MARGIN, sample_sdf_within
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_arrays
+from shift3d.store.user_cache import program_digest
 from shift3d.vehicles.family.parameters import ParameterTable, is_symmetric, parameter_table
 from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_family
 
+_CODE = ("sdf/samples.py", "seeding.py", "training/sdf/wide_shapes.py", "vehicles/family")
 CHUNK = 100
 RESOLUTION_M, FACES = 0.035, 30_000
 KIND_MARGIN = 1.03
@@ -72,12 +74,13 @@ def wide_specs(count: int, seed: int) -> list[WideSpec]:
 def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int) -> WideShapes:
     """Sample `count` vehicles, half seen and half held out, or read them back from `cache`, a folder.
 
-    An interrupted call goes on where it stopped. Source: samples as of Park et al. 2019; frames are our choice.
+    An interrupted call goes on where it stopped; what another program sampled is sampled again.
+    Source: samples as of Park et al. 2019; frames are our choice.
     """
     specs = wide_specs(count, seed)
     frames = kind_frames(specs)
     tasks = [(spec, frames[spec.kind], samples, seed, index) for index, spec in enumerate(specs)]
-    folder = cache / f"wide-{count}-{samples}-{seed}"
+    folder = cache / f"wide-{count}-{samples}-{seed}-{program_digest(*_CODE)[:16]}"
     parts = []
     with ProcessPoolExecutor(processes) as pool, tqdm(total=count, desc="sampling vehicles", mininterval=5.0) as bar:
         for start in range(0, count, CHUNK):

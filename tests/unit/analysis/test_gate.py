@@ -45,7 +45,7 @@ def test_the_same_weights_pass_and_worse_ones_are_stopped(folder: Path) -> None:
     first = gate(folder, -2.0, "true")
     assert "the first" in first.text and not first.compared and releases(folder) == ["00000001.parquet"]
     same = gate(folder, -2.0, "true")
-    assert same.exit_code == ExitCode.DONE and "same weights" in same.text
+    assert same.exit_code == ExitCode.DONE and "release 1 already, the first" in same.text and not same.compared
     assert releases(folder) == ["00000001.parquet"], "the last release is not put in again"
     worse = gate(folder, -2.6, "true")
     assert worse.exit_code == ExitCode.WORSE and "Worse than release 1: " in worse.text
@@ -69,6 +69,26 @@ def test_a_roll_back_is_the_last_release_from_then_on(folder: Path) -> None:
     assert "accepted as release 3" in gate(folder, -2.0, "true", against=1).text and len(releases(folder)) == 3
 
 
+@pytest.mark.parametrize(("bias", "accept"), [(-1.5, "true"), (-2.6, "anyway")])
+def test_an_accepted_release_run_again_repeats_its_verdict(folder: Path, bias: float, accept: Acceptance) -> None:
+    """With or without accept=, the files are what was found against the release before; what was accepted passes."""
+    gate(folder, -2.0, "true")
+    gate(folder, bias, accept)
+    files = {path.name: path.read_bytes() for path in (folder / f"out{bias:g}").glob("gate.*")}
+    verdict = (folder / f"out{bias:g}" / "verdict.json").read_bytes()
+    assert json.loads(verdict)["facts"]["against"] == "release 1"
+    again: tuple[Acceptance, ...] = ("false", "true", accept)
+    for choice in again:
+        same = gate(folder, bias, choice)
+        assert same.exit_code == ExitCode.DONE and "not accepted" not in same.text and "release 2" in same.text
+        assert (folder / f"out{bias:g}" / "verdict.json").read_bytes() == verdict
+        assert {path.name: path.read_bytes() for path in (folder / f"out{bias:g}").glob("gate.*")} == files
+    assert len(releases(folder)) == 2
+    worse = ExitCode.WORSE if bias < -2.0 else ExitCode.DONE
+    assert gate(folder, bias, against=1).exit_code == worse, "what is asked for is answered"
+    assert "same weights" in gate(folder, bias, against=2).text, "they are compared with themselves where that is said"
+
+
 @pytest.mark.parametrize("what", ["some objects", "two weights"])
 def test_a_sweep_that_scored_a_part_is_no_release(folder: Path, what: str) -> None:
     write_suite(folder / "suite", scored_by="own")
@@ -87,12 +107,35 @@ def test_a_sweep_that_scored_a_part_is_no_release(folder: Path, what: str) -> No
     assert last_release(suite, history, "own") is None
 
 
+def test_detectors_of_one_kind_have_releases_of_their_own(folder: Path) -> None:
+    """A detector that scores less than another of its kind is no worse release of it."""
+    write_suite(folder / "suite", scored_by="own")
+    suite = read_suite(folder / "suite")
+    history = suite.folder / "releases"
+
+    def last(name: str, **more: int) -> int | None:
+        found = last_release(suite, history, f"own:{name}" if name else "own", **more)
+        return None if found is None else found.number
+
+    assert last("ours") == 0, "the sweep's weights, while no other has releases"
+    gate(folder, 9.0, "true")  # of an older program: no name
+    assert last("ours") == last("other") == last("") == 1
+    gate(folder, 9.5, "true", name="ours")
+    assert last("ours") == 2 and last("ours", number=1) == 1
+    assert last("other") is None and last("") == 1
+    assert "the first" in gate(folder, -2.0, "true", name="other").text
+    assert gate(folder, -2.6, name="other").exit_code == ExitCode.WORSE
+    assert (last("ours"), last("other")) == (2, 3)
+    with pytest.raises(InputError, match="no release 2 of own:other"):
+        last("other", number=2)
+
+
 def test_a_damaged_answer_is_to_be_removed(folder: Path) -> None:
     gate(folder, -2.0, "true")
     (answers, *_) = sorted((folder / "out-2" / "answers").glob("*.parquet"))
     answers.write_bytes(b"PAR1")
     with pytest.raises(InputError, match="Remove it: it is scored again"):
-        gate(folder, -2.0)
+        gate(folder, -2.0, against=1)
 
 
 def test_a_verdict_does_not_promise_to_find_what_cannot_be_lost() -> None:

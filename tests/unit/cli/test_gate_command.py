@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -58,10 +59,25 @@ def test_an_onnx_file(folder: Path) -> None:
     """A release of it is compared with the next; where the suite's objects lie, that one scores less."""
     boxes = np.array([[10.0, 10.0, 0.8, 4.5, 1.9, 1.6, 0.0], [20.0, 10.0, 0.8, 4.5, 1.9, 1.6, 0.0]], np.float32)
     files = [write_model(folder / f"{bias:g}.onnx", bias, boxes=boxes) for bias in (2.0, -2.0)]
-    words = ["gate", "suite=suite", "detector=onnx", "mlflow=none"]
+    words = ["gate", "suite=suite", "detector=onnx", "name=deployed", "mlflow=none"]
     assert main([*words, f"file={files[0]}", "accept=true"]) == 0
     assert main([*words, f"file={files[0]}"]) == 0
     assert main([*words, f"file={files[1]}"]) == 6
+
+
+def test_another_module_is_no_release_of_the_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its name is its file's; one that has no releases is refused where others have, until it is named."""
+    module, _ = write_detector(folder)
+    other = shutil.copy(module, folder / "other.py")
+    assert main(["gate", "suite=suite", "detector=own", f"module={module}", "accept=anyway", "mlflow=none"]) == 6
+    shutil.rmtree("outputs")
+    capsys.readouterr()
+    words = ["suite=suite", "detector=own", f"module={other}", "accept=true", "mlflow=none"]
+    error = refused(words, capsys)
+    assert "holds releases of detector, none of other. Give name=detector for its next release" in error
+    assert main(["gate", *words, "name=other"]) == 0
+    assert "accepted as release 2, the first" in capsys.readouterr().out
+    assert main(["gate", *words]) == 0, "a name that has releases need not be given again"
 
 
 def test_weights_of_another_shape(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

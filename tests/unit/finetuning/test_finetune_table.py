@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from shift3d.analysis.detector_evaluation import write_evaluation
 from shift3d.evaluation.breakdown import Area
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.finetuning.page import finetune_page, gains_table
@@ -128,16 +129,20 @@ def test_the_page_shows_both_models_beside_the_papers_figures() -> None:
     assert set(re.findall(r'id="plot-(curve-\d)"', page)) == {"curve-0", "curve-1", "curve-2"}
 
 
-def test_models_are_compared_over_the_scenes_that_all_of_them_have_seen(tmp_path: Path) -> None:
-    """The detector before was evaluated on more streets, by another command, and misses every vehicle there."""
+def test_models_are_compared_over_the_scenes_that_they_were_last_evaluated_on(tmp_path: Path) -> None:
+    """All six answers lie in both folders: of the detector before, which misses the vehicles of the last three, by
+    another command with more streets; of the one after from the same command with more streets before this one."""
     box = np.array([[10.0, 0.0, 0.8, 4.0, 1.8, 1.6, 0.0]])
-    for model, scenes in (("before", 6), ("after", 3)):
-        for scene in range(scenes):
+    for model, evaluated in (("before", 6), ("after", 3)):
+        answers = []
+        for scene in range(6):
             truth = Truth(box, np.array([50]), np.array([True]), np.array([-1]), ("Car",))
             found = Found(box + 30.0 * (scene >= 3), np.array([0.9]), np.array([True]), np.array([np.nan]))
             folder = tmp_path / model / "scenes"
             folder.mkdir(parents=True, exist_ok=True)
-            write_answer(folder / f"{scene}.npz", Answer(DetectedFrame(str(scene), truth, found), 1.0, 1.0))
+            answers.append(Answer(DetectedFrame(str(scene), truth, found), 1.0, 1.0))
+            write_answer(folder / f"{scene}.npz", answers[-1])
+        write_evaluation("sst", "street", answers[:evaluated], tmp_path / model)
     areas = natural_areas({(VANILLA, None): tmp_path / "before", (TUNED, 0): tmp_path / "after"})
     assert [row["value"] for row in natural_rows(areas)] == pytest.approx([1.0] * len(natural_rows(areas)))
     assert {row.get("gain") for row in natural_rows(areas)} <= {None, 0.0} and natural_rows(areas)

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import valid_sweeps
 
+from shift3d.errors import InputError
 from shift3d.finetuning.objects import SweepObject, SweepObjects
 from shift3d.finetuning.tune import natural_scenes
 from shift3d.task.spec import TaskSpec
 from shift3d.training.detector_scenes import load_cached
-from shift3d.training.provenance import shared_scenes
+from shift3d.training.provenance import refuse_tuned_scenes, shared_scenes, write_provenance
 
 NAME = "000000"
 
@@ -47,7 +48,7 @@ def test_each_is_trained_on_and_refused_afterwards(tmp_path: Path) -> None:
     found = _found(("kitti", "aa"), ("openpcdet", "bb"), ("kitti", "cc"))
     files = natural_scenes(tmp_path, found)
     assert [len(load_cached(file).points) for file in files] == [1, 2, 3]
-    assert list(found.scenes.values()) == ["aa", "bb", "cc"] and NAME in found.scenes
+    assert found.scenes == [("kitti", NAME, "aa"), ("openpcdet", NAME, "bb"), ("kitti", NAME, "cc")]
 
 
 def test_a_street_under_two_weathers_is_one_place_and_two_scenes() -> None:
@@ -69,17 +70,33 @@ def test_a_street_under_two_weathers_is_one_place_and_two_scenes() -> None:
 @pytest.mark.parametrize(
     ("seen", "measured", "shared"),
     [
-        (("street-train-hdl64-000001", "aa"), ("street-train-hdl64-000001-fog50", "bb"), True),
-        (("street-train-hdl64-000001-fog50", "aa"), ("street-train-hdl64-000001-seed3", "bb"), False),
-        (("000000", "aa"), ("000001", "aa"), True),
-        (("000000", ""), ("000001", ""), False),
-        (("000000", "aa"), ("000000", ""), True),
+        ("street-hdl64 street-train-hdl64-000001 aa", "street-hdl64-fog50 street-train-hdl64-000001-fog50 bb", True),
+        ("street-hdl64 street-train-hdl64-000001 aa", "street-mixed street-train-hdl64-000001 bb", True),
+        ("? street-train-hdl64-000001 aa", "street-hdl64-fog50 street-train-hdl64-000001-fog50 bb", True),
+        ("street-hdl64 street-train-hdl64-000001 aa", "street-hdl64 street-train-hdl64-000001-seed3 bb", False),
+        ("kitti 000000 aa", "kitti 000001 aa", True),
+        ("kitti 000000 aa", "openpcdet 000000 aa", True),
+        ("kitti 000000 ?", "kitti 000001 ?", False),
+        ("kitti 000000 aa", "kitti 000000 ?", True),
+        ("kitti 000000 aa", "openpcdet 000000 bb", False),
+        ("? 000000 aa", "openpcdet 000000 bb", True),
     ],
 )
-def test_a_scene_is_seen_by_its_name_its_street_or_its_content(
-    seen: tuple[str, str], measured: tuple[str, str], shared: bool
+def test_a_scene_is_seen_by_its_data_set_and_name_its_street_or_its_content(
+    seen: str, measured: str, shared: bool
 ) -> None:
-    assert shared_scenes([seen], [measured]) == ([measured[0]] if shared else [])
+    """?: what is not known."""
+    one, other = (cast(Any, tuple(text.replace("?", "").split(" "))) for text in (seen, measured))
+    assert shared_scenes([one], [other]) == ([other[1]] if shared else [])
+
+
+@pytest.mark.parametrize("scenes", [{NAME: "aa"}, [["kitti", NAME, "aa"]]])
+def test_weights_are_refused_on_what_they_were_tuned_on(tmp_path: Path, scenes: Any) -> None:
+    """Older files say no data set."""
+    write_provenance(tmp_path / "w.safetensors", {"before": {"finetuned_on": {"scenes": scenes}}})
+    refuse_tuned_scenes(tmp_path / "w.safetensors", [("kitti", "000001", "")])
+    with pytest.raises(InputError, match=f"was fine-tuned on {NAME}"):
+        refuse_tuned_scenes(tmp_path / "w.safetensors", [("kitti", NAME, "")])
 
 
 def test_one_scene_keeps_its_name(tmp_path: Path) -> None:

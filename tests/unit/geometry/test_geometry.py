@@ -46,10 +46,17 @@ def test_pose_gradient_matches_finite_differences() -> None:
     assert torch.autograd.gradcheck(lambda p: object_from_scene(points, p), (pose,))
 
 
-@given(st.floats(-1e4, 1e4))
-def test_wrap_angle_keeps_the_direction(angle: float) -> None:
+@given(
+    st.one_of(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4, width=32)),
+    st.one_of(st.none(), st.tuples(st.integers(-1500, 1500), st.integers(-4, 4), st.sampled_from([np.float32, float]))),
+)
+def test_wrap_angle_keeps_the_direction(angle: float, edge: tuple[int, int, type] | None) -> None:
+    """edge: a whole number of half turns, some floats farther, of either width."""
+    if edge is not None:
+        half_turns, steps, width = edge
+        angle = float(width(half_turns * math.pi) + steps * np.spacing(width(half_turns * math.pi)))
     wrapped = wrap_angle(angle)
-    assert -math.pi <= wrapped <= math.pi
+    assert -math.pi <= wrapped < math.pi
     assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
 
 

@@ -15,6 +15,7 @@ from shift3d.naturalness.build import build_reference, load_reference, reference
 from shift3d.naturalness.measure import Naturalness
 from shift3d.naturalness.reference import read_reference
 from shift3d.naturalness.sources import MeshReference, SetReference, WideReference, reference_source, source_hash
+from shift3d.store.user_cache import source_digest
 from shift3d.vehicles.family.split import SPLIT
 from shift3d.vehicles.mesh_frame import MeshFrame
 
@@ -74,6 +75,16 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     found = load_reference(legged(np.linspace(3.6, 5.5, 21)), "here")
     assert found.nearest(found.surface(3)).name == "member-3"
+
+
+@pytest.mark.parametrize("part", ["vehicles/vehicle.py", "vehicles/vehicle_set.py", "sdf/deepsdf_network.py"])
+def test_a_set_that_other_code_made_is_made_again(monkeypatch: pytest.MonkeyPatch, part: str) -> None:
+    """What decodes a member, and puts it into metres, decides what it is."""
+    known, read = reference_file(SetReference()), Path.read_bytes
+    monkeypatch.setattr("shift3d.naturalness.build.source_digest", source_digest.__wrapped__)
+    assert reference_file(SetReference()) == known
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(f"/{part}"))
+    assert reference_file(SetReference()) != known
 
 
 def test_another_file_or_frame_is_another_set(tmp_path: Path) -> None:

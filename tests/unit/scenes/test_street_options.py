@@ -10,7 +10,7 @@ import yaml
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
-from shift3d.scenes.sets import StreetScenes, place_of, street_of
+from shift3d.scenes.sets import StreetScenes, place_of
 from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.settings.schema.scenes import StreetConfig, StreetOptionsConfig, scene_set
 
@@ -64,11 +64,10 @@ def test_a_street_lies_in_one_place_whatever_its_options(values: dict[str, Any])
     for seed, tail in ((0, ""), (3, "-seed3")):
         scenes = StreetScenes("mixed", seed, 2, options=StreetOptions(**values))
         places = [place_of(scenes.dataset, name) for name in scenes.names()]
-        expected = ["street-mixed/street-test-hdl64-000000", "street-mixed/street-test-waymo_top-000001"]
+        expected = ["street-hdl64/street-test-hdl64-000000", "street-waymo_top/street-test-waymo_top-000001"]
         assert places == [f"{place}{tail}" for place in expected]
-        assert [street_of(name) for name in scenes.names()] == [place.partition("/")[2] for place in places]
+        assert places[0] == place_of(f"street-hdl64{scenes.options.tag}", scenes.names()[0]), "a set of one sensor"
     assert place_of("kitti", "street-000001-fog") == "kitti/street-000001-fog"
-    assert street_of("street-000001-fog") == "street-000001-fog"
 
 
 @pytest.mark.parametrize(("values", "what", "remedy"), WRONG)

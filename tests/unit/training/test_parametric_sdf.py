@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +17,14 @@ from shift3d.cli.commands.detectors.train import COMMAND
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import load_decoder
 from shift3d.sdf.samples import signed_distance
+from shift3d.store.arrays import write_arrays
+from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.training.checkpoints import write_checkpoint
 from shift3d.training.compute import choose_compute
 from shift3d.training.sdf import loop, parametric
 from shift3d.training.sdf.parametric import ParametricRecipe, train_parametric
 from shift3d.training.sdf.wide_shapes import WideShapes, in_frame, kind_frames, wide_shapes
+from shift3d.training.sdf_shapes import shape_samples
 from shift3d.vehicles.family.parameters import named_parameters, parameter_table
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_family
 from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors, read_parameters
@@ -66,6 +71,23 @@ def test_samples_are_distances_to_the_mesh_in_the_kinds_frame(shapes: WideShapes
     unit = in_frame(spec, shapes.frames[spec.kind], build_wide_mesh(spec, 0.035, 30_000))
     expected = signed_distance(unit, shapes.points[1].astype(np.float64))
     np.testing.assert_allclose(shapes.distances[1], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("sample", [wide_shapes, shape_samples])
+def test_samples_of_another_family_are_made_again(
+    sample: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one program they are read back from where they were kept."""
+    first = sample(2, 60, 3, tmp_path, 1).points
+    (kept,) = tmp_path.rglob("*.npz")
+    with np.load(kept) as data:
+        write_arrays(kept, **{**data, "points": first + 1.0})
+    assert np.array_equal(sample(2, 60, 3, tmp_path, 1).points, first + 1.0)
+    read, part = Path.read_bytes, "/vehicles/family/solid.py"
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(part))
+    monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
+    monkeypatch.setattr(f"{sample.__module__}.program_digest", program_digest.__wrapped__, raising=False)
+    assert np.array_equal(sample(2, 60, 3, tmp_path, 1).points, first)
 
 
 def test_a_training_that_was_killed_ends_in_the_same_weights(

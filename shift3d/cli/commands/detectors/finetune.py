@@ -179,7 +179,9 @@ def _checked(request: FinetuneRequest) -> tuple[Config, str]:
         plans.append(plan)
         config = config or own
     assert config is not None
-    tuned, *held_out = ({(task.spec.scene, task.spec.scene_hash) for task in plan.tasks} for plan in plans)
+    tuned, *held_out = (
+        {(task.spec.dataset, task.spec.scene, task.spec.scene_hash) for task in plan.tasks} for plan in plans
+    )
     for name, scenes in zip(_SWEEPS[1:], held_out, strict=True):
         if both := shared_scenes(tuned, scenes):
             what = f"fine-tuning and {name} share {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
+from typing import Any
 
 from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.detector_words import DETECTOR_KEYS, detector_files
+from shift3d.cli.detector_words import DETECTOR_KEYS, detector_files, detector_name
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 
 KEYS = (
-    *("suite", "detector", *DETECTOR_KEYS, "against", "accept", "releases"),
+    *("suite", "detector", *DETECTOR_KEYS, "name", "against", "accept", "releases"),
     *("score_threshold", "level", "tolerance", "workers", "root", "mlflow", "out"),
 )
 _VALUES = {"detector": (*DETECTOR_NAMES, *FOREIGN, OWN, ONNX), "accept": ("true", "anyway", "false")}
@@ -29,11 +30,12 @@ examples:
   shift3d gate suite=suites/first detector=pointpillars weights=FILE accept=true workers=2
   shift3d gate suite=s3://BUCKET/suite detector=own module=FILE.py weights=FILE
   shift3d gate suite=suites/first detector=openpcdet weights=FILE.pth config=FILE.yaml
-  shift3d gate suite=suites/first detector=onnx file=FILE.onnx                 what is deployed
+  shift3d gate suite=suites/first detector=onnx file=FILE.onnx name=NAME       what is deployed
 
 The last release: the one that was last accepted (in SUITE/releases or releases=DIR), or the weights of the sweep that
 the suite is of. accept=true makes the weights the next release where nothing got worse, accept=anyway always.
-against=N compares with release N. A score above score_threshold=0.3 is a detection. Worse: a measure fell by
+against=N compares with release N. name=NAME: whose releases these are, of the detectors of a kind; by default the name
+of the file of module=, config= or file=. A score above score_threshold=0.3 is a detection. Worse: a measure fell by
 tolerance=0.005 or more, and by what chance alone does in at most level=0.05 of releases that are no worse.
 root=PATH: where the data set of a suite with frames=referenced lies. jobs/gate_ci.yaml runs
 it in CI; docs/guides/gate.md says how many objects a suite needs."""
@@ -56,6 +58,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.statistics.releases import Rule
     from shift3d.store.resolve import as_location
     from shift3d.suite.frozen import read_suite
+    from shift3d.suite.releases import refuse_unknown_name
     from shift3d.suite.scoring import Scorer
 
     uri = values.get("mlflow", _STORE)
@@ -66,7 +69,11 @@ def _run(arguments: argparse.Namespace) -> int:
     name = f"outputs/gate/{suite.digest[:8]}-{scorer.name}-{scorer.digest[:8]}"
     out = writable_folder(values.get("out", name))
     releases = as_location(values["releases"]) if "releases" in values else suite.folder / "releases"
-    settings = GateSettings(Rule(**shares), workers, against, values.get("accept", "false"))  # type: ignore[arg-type]
+    called = values.get("name", detector_name(values["detector"], values))
+    if called and "name" not in values:
+        refuse_unknown_name(suite, releases, f"{scorer.name}:{called}")
+    accept: Any = values.get("accept", "false")
+    settings = GateSettings(Rule(**shares), workers, against, accept, called)
     outcome = run_gate(suite, scorer, releases, as_location(out), settings)
     print(outcome.text)
     if outcome.compared and uri != "none" and (problem := mirror_gate(out, uri)):
@@ -80,9 +87,9 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    words="suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [file=FILE.onnx] [config=FILE] [accept=true] "
-    "[against=N] [releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] "
-    "[out=DIR]",
+    words="suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [file=FILE.onnx] [config=FILE] [name=NAME] "
+    "[accept=true] [against=N] [releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] "
+    "[mlflow=URI|none] [out=DIR]",
     complete=key_words(KEYS, _VALUES),
     resumes=True,
 )
