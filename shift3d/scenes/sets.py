@@ -30,6 +30,8 @@ STREET_SPLITS = ("train", "val", "test")
 
 _STREET = re.compile(r"(street-[a-z]+-[a-z0-9_]+-\d{6,})(?:-(?!seed\d+$)[a-z0-9._-]+?)?(-seed\d+)?")
 _STREETS = re.compile(rf"(street-(?:{'|'.join(STREET_SENSORS)}))(?:-[a-z0-9._-]+)?")
+_BY_DRIVE = ("waymo", "argoverse2")
+"""Data sets whose frames are named "DRIVE-TIMESTAMP"; ten a second are of one drive."""
 
 
 def street_of(scene: str) -> str:
@@ -41,9 +43,11 @@ def street_of(scene: str) -> str:
 def place_of(dataset: str, scene: str) -> str:
     """Where a scene of a data set lies, "DATASET/SCENE".
 
-    Scenes of one street lie in one place whatever options they have, as other beams or weather: they are no independent
-    draws.
+    Scenes of one street lie in one place whatever options they have, as other beams or weather, and so do all frames of
+    one segment (Waymo) or log (Argoverse 2): they are no independent draws. Names of other recordings tell no drive.
     """
+    if dataset in _BY_DRIVE:
+        return f"{dataset}/{scene.rpartition('-')[0] or scene}"
     streets = _STREETS.fullmatch(dataset)
     if streets is None or _STREET.fullmatch(scene) is None:
         return f"{dataset}/{scene}"
