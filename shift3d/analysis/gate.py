@@ -119,7 +119,8 @@ def _check(suite: FrozenSuite, scorer: Scorer, rule: Rule) -> None:
     scenes = places_of(suite.objects).nunique()
     if least_p_value(scenes) > rule.level:
         what = f"has objects of {counted(scenes, 'scene')}: no loss would be significant at level={rule.level:g}"
-        raise InputError(what, str(suite.folder), "Freeze a suite of a sweep over more scenes: scenes.count=")
+        remedy = "Freeze a suite of a sweep over more scenes: scenes.count=; frames of one segment or log count once"
+        raise InputError(what, str(suite.folder), remedy)
     for precision in suite.objects["precision"].unique():
         scorer.at(precision)
 

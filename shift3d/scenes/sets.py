@@ -29,16 +29,21 @@ STREET_SPLITS = ("train", "val", "test")
 
 
 _STREET = re.compile(r"(street-[a-z]+-([a-z0-9_]+)-\d{6,})(?:-(?!seed\d+$)[a-z0-9._-]+?)?(-seed\d+)?")
+_BY_DRIVE = ("waymo", "argoverse2")
+"""Data sets whose frames are named "DRIVE-TIMESTAMP"; ten a second are of one drive."""
 
 
 def place_of(dataset: str, scene: str) -> str:
     """Where a scene of a data set lies, "DATASET/SCENE".
 
     Scenes of one street lie in one place whatever set they are of, as one of mixed sensors, and whatever options they
-    have, as other beams or weather: they are no independent draws.
+    have, as other beams or weather; so do all frames of one segment (Waymo) or log (Argoverse 2). They are no
+    independent draws. Names of other recordings tell no drive.
     """
-    found = _STREET.fullmatch(scene)
-    return f"street-{found[2]}/{found[1]}{found[3] or ''}" if found else f"{dataset}/{scene}"
+    if found := _STREET.fullmatch(scene):
+        return f"street-{found[2]}/{found[1]}{found[3] or ''}"
+    drive = scene.rpartition("-")[0] if dataset in _BY_DRIVE else ""
+    return f"{dataset}/{drive or scene}"
 
 
 class SceneSet(Protocol):

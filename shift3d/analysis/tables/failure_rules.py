@@ -70,7 +70,8 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     scenes, vehicles = (sorted(objects[name].unique()) for name in ("place", "vehicle"))
     if len(scenes) < _LEAST_SCENES:
         what = f"{counted(len(scenes), 'scene')} with scored objects: too few to find rules on and to try them"
-        raise InputError(what, "failure rules", f"Give scenes.count={_LEAST_SCENES} or more")
+        remedy = f"Give scenes.count={_LEAST_SCENES} or more; frames of one segment or log count once"
+        raise InputError(what, "failure rules", remedy)
     here = objects["place"].isin(scenes[::2])
     ours = objects["vehicle"].isin(vehicles[::2])
     attacked = objects["scored_by"] == objects["detector"]

@@ -91,7 +91,10 @@ class Argoverse2Scenes(RecordedScenes):
         )
 
     def _made_of(self, name: str) -> tuple[tuple[()], Sequence[Location]]:
-        log, timestamp = self._split(name)
+        try:
+            log, timestamp = self._split(name)
+        except InputError:
+            return (), ()  # no log has such a sweep: loading it says so
         shared = (log / "annotations.feather", log / "city_SE3_egovehicle.feather")
         mounts = log / "calibration" / "egovehicle_SE3_sensor.feather"
         return (), (sweep_file(log, timestamp), *shared, mounts, *map_files(log))

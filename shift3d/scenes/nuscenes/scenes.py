@@ -47,7 +47,8 @@ class NuScenesScenes(RecordedScenes):
     and one with `effects.object_speed_m_s` is met by each sweep where it was then. Points of a sweep are motion
     compensated by the data set. Poses have roll and pitch, but no height.
 
-    Raises InputError: neither tables nor files, or several versions to choose from.
+    Raises InputError: neither tables nor files, several versions to choose from, or several sweeps of files that no
+        table puts in order.
     """
 
     dataset = "nuscenes"
@@ -68,6 +69,10 @@ class NuScenesScenes(RecordedScenes):
         if self._tables is None and not self._stems:
             what = f"neither tables v1.0-*/ nor *{_SUFFIX} files"
             raise InputError(what, str(self.root), "Give the folder that holds them")
+        if self._tables is None and sweeps > 1:
+            what = f"no tables v1.0-*/, which say what came before a file: sweeps={sweeps} cannot be joined"
+            remedy = "Give the folder that holds v1.0-*/ and sweeps/, or scenes.sweeps=1"
+            raise InputError(what, str(self.root), remedy)
 
     def _read(self, name: str) -> Scene:
         if self._tables is None:

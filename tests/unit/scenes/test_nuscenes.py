@@ -246,6 +246,14 @@ def test_folders_that_are_no_release(tmp_path: Path) -> None:
         NuScenesScenes(tmp_path)
 
 
+def test_files_alone_are_one_sweep_each(tmp_path: Path) -> None:
+    """A detector of ten sweeps would otherwise be shown one, and nothing would say so."""
+    scan(global_SE3_lidar(0.0, 0), 0).astype("<f4").tofile(tmp_path / "one.pcd.bin")
+    assert NuScenesScenes(tmp_path, sweeps=1).names() == ["one"]
+    with pytest.raises(InputError, match=r"no tables.*sweeps=10 cannot be joined.*scenes\.sweeps=1"):
+        NuScenesScenes(tmp_path, sweeps=10)
+
+
 def test_numbers_of_another_width_are_no_metres_and_warn_of_nothing(tmp_path: Path) -> None:
     scan(global_SE3_lidar(0.0, 0), 0).astype("<f8").tofile(tmp_path / "wide.pcd.bin")
     scenes = NuScenesScenes(tmp_path)

@@ -7,10 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from argoverse2_log import write_log
+from nuscenes_release import write_release
+from waymo_segment import write_segment
 
 from shift3d.errors import InputError
+from shift3d.scenes.argoverse2.scenes import Argoverse2Scenes
 from shift3d.scenes.kitti.scenes import KittiScenes
+from shift3d.scenes.nuscenes.scenes import NuScenesScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
+from shift3d.scenes.waymo.scenes import WaymoScenes
 from shift3d.settings.catalogue import scene_entries as module
 from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.catalogue.scene_entries import scene_entries as entries_and_skipped
@@ -110,3 +116,17 @@ def test_a_set_without_scenes_says_nothing_of_bad_ones(tmp_path: Path, real_data
     with pytest.raises(InputError) as setless:
         entries_and_skipped(KittiScenes(root, ["000002"]))
     assert "skip_bad" not in f"{unknown.value} {setless.value}"
+
+
+@pytest.mark.parametrize("reader", ["argoverse2", "waymo", "nuscenes"])
+def test_a_named_scene_of_a_drive_that_is_not_there_is_left_out(tmp_path: Path, reader: str) -> None:
+    write, kind = {
+        "argoverse2": (write_log, Argoverse2Scenes),
+        "waymo": (write_segment, WaymoScenes),
+        "nuscenes": (write_release, NuScenesScenes),
+    }[reader]
+    write(tmp_path / "root")
+    good = kind(tmp_path / "root").names()[0]
+    entries, skipped = entries_and_skipped(kind(tmp_path / "root", [good, "absent-1"], keep_bad=True), skip_bad=True)
+    assert [entry.name for entry in entries] == [good]
+    assert list(skipped) == ["absent-1"] and "unknown scene 'absent-1'" in skipped["absent-1"]
