@@ -113,15 +113,15 @@ def test_vehicles_stand_within_its_range(tmp_path: Path) -> None:
 
 def test_every_distance_of_an_axis_is_held_against_its_range(tmp_path: Path) -> None:
     file, weights = CASE.saved(tmp_path)
-    asked: list[float] = []
+    checked: list[float] = []
 
     def catalogue(config: Config) -> Catalogue:
-        asked.append(config.shift_m)
+        checked.append(config.shift_m)
         return dataclasses.replace(valid_sweeps.catalogue(config), detectors={"mmdet3d": "m"})
 
     words = ["vehicle=suv", "detector=mmdet3d", f"detector.weights={weights}", f"detector.config={file}"]
     make_plan(compose_sweep("default", [*words, "mode=shape,pose", "attack.max_shift_m=2,4"]), catalogue)
-    assert asked == [0.0, 2.0, 4.0]
+    assert checked == [0.0, 2.0, 4.0]
 
 
 def test_weights_for_each_detector_of_an_axis_are_taken_where_it_is_attacked() -> None:
