@@ -233,7 +233,7 @@ def expected_lines(
         return f"{progress}nothing is left to run"
     found = expected(left, [*timings, *own, *others])
     mean = found.seconds / found.tasks
-    workers = runner.workers or usable_cpus() if isinstance(runner, RayRunnerConfig) else 1
+    workers = runner.workers_on(usable_cpus()) if isinstance(runner, RayRunnerConfig) else 1
     wall = found.seconds / min(workers, found.tasks)
     text = (
         f"{progress}expected: {counted(found.tasks, 'task')} of {duration(mean)}: {duration(wall)} with "

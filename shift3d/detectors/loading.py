@@ -23,7 +23,7 @@ def load_detector(
     """
     if name not in NETWORKS:
         raise InputError(f"unknown detector {name!r}", where="detector", remedy=f"known: {', '.join(DETECTOR_NAMES)}")
-    file = Path(path) if path is not None else WEIGHTS_FOLDER / f"{name}.safetensors"
+    file = Path(path).expanduser() if path is not None else WEIGHTS_FOLDER / f"{name}.safetensors"
     return TrainedDetector(load_network(file, name), precision)
 
 

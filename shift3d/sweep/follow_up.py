@@ -29,9 +29,6 @@ from shift3d.task.spec import TaskSpec
 def solved_tasks(folder: LocationLike) -> Plan:
     """The tasks of a finished sweep that have solutions, in its order.
 
-    Tasks of one vehicle in one scene share their baseline, which a worker scores again once: in this order they lie
-    far apart, so that two workers do not begin it at the same time.
-
     Raises: InputError: the folder is not a sweep's, it has not finished, or nothing in it was scored.
     """
     folder = as_location(folder)

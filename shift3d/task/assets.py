@@ -228,17 +228,37 @@ def load_assets(spec: AssetsSpec) -> Assets:
 def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None:
     """Make what tasks compare shapes with now, with a progress bar, so that workers find it in the cache.
 
-    templates: specs of the tasks, without their scene. A search over kinds within a budget needs each kind's measure.
-    Raises: InputError for a reference set that cannot be made.
+    templates: specs of the tasks, without their scene. A search over kinds within a budget needs each kind's measure,
+    and any other search a vehicle that keeps the budget itself.
+    Raises: InputError for a reference set that cannot be made, or naming the vehicles that lie beyond a budget.
     """
     if spec.reference is None:
         return
     source = reference_source(spec.reference)
-    reference = load_reference(source, "naturalness")
-    if any(t.mode != "pose" and t.attack.space == "family" and t.attack.naturalness > 0 for t in templates):
-        vehicles = vehicle_source(spec.vehicles)
-        with threads(spec.threads):
-            kept_measures(vehicles, vehicles.decoder(), Naturalness(reference), source_hash(source), show=True)
+    measures = Naturalness(load_reference(source, "naturalness"))
+    bounded = [t for t in templates if t.mode != "pose" and t.attack.naturalness > 0]
+    vehicles = vehicle_source(spec.vehicles)
+    with threads(spec.threads):
+        if any(t.attack.space == "family" for t in bounded):
+            kept_measures(vehicles, vehicles.decoder(), measures, source_hash(source), show=True)
+        _require_within([t for t in bounded if t.attack.space != "family"], vehicles, measures)
+
+
+def _require_within(templates: Sequence[TaskSpec], vehicles: VehicleSource, measures: Naturalness) -> None:
+    """Refuse, before anything runs, what each of their tasks would: vehicles that lie beyond the budget unchanged."""
+    budgets: dict[str, set[float]] = {}
+    for template in templates:
+        budgets.setdefault(template.vehicle, set()).add(template.attack.naturalness)
+    beyond = []
+    for name, wanted in budgets.items():
+        vehicle = vehicles.vehicle(name)
+        own = measures.of_code(vehicle, vehicles.decoder(), vehicle.latent_code)
+        if missed := [f"{budget:g}" for budget in sorted(wanted) if not own.within(budget)]:
+            reasons = ", ".join((f"percentile {own.percentile:.3g}", *own.out_of_range))
+            beyond.append(f"{name} ({reasons}) beyond {' and '.join(missed)}")
+    if beyond:
+        what = f"unchanged vehicles lie beyond the budget: {'; '.join(beyond)}"
+        raise InputError(what, "attack.naturalness", "Give a larger budget, or leave these vehicles out")
 
 
 def render_settings(spec: TaskSpec) -> RenderSettings:

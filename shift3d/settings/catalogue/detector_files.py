@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -135,22 +136,30 @@ def require_in_grid(names: Sequence[str], sector_rad: tuple[float, float], range
         raise InputError(what, "attack.placement", remedy)
 
 
-def require_in_range(layouts: Mapping[str, Mapping[str, Any]], sector_rad: tuple[float, float], range_m: float) -> None:
-    """Refuse foreign detectors whose grid leaves out places where vehicles are put: there they could only miss.
+def require_in_range(
+    layouts: Mapping[str, Mapping[str, Any]],
+    sector_rad: tuple[float, float],
+    ranges_m: tuple[float, float],
+    shift_m: float,
+) -> None:
+    """Refuse foreign detectors whose grid leaves out places where vehicles are put or moved to: there they could only
+    miss.
 
-    sector_rad: (centre, half width) of the azimuths of places. range_m: how far away they lie at most.
+    sector_rad: (centre, half width) of the azimuths of places. ranges_m: how far away they lie, least and most.
+    shift_m: how far a search may move a vehicle from its place.
 
     Raises: InputError naming a place.
     """
     for name, layout in layouts.items():
         grid, turned = layout["grid"], layout["frame"]["turned"]
         high = {axis: grid[f"{axis}_min_m"] + grid["cell_m"] * grid[f"num_{axis}"] for axis in "xy"}
-        for azimuth in _azimuths(sector_rad):
+        for azimuth, range_m in itertools.product(_azimuths(sector_rad), ranges_m):
             x, y = range_m * math.cos(azimuth), range_m * math.sin(azimuth)
             there = {"x": -y, "y": x} if turned else {"x": x, "y": y}
-            if any(not grid[f"{axis}_min_m"] <= there[axis] <= high[axis] for axis in "xy"):
-                what = f"vehicles are put at x {x:.0f} m, y {y:.0f} m, which {name}'s range leaves out"
-                remedy = "Give scenes that it was trained on, as scenes=kitti, or attack.placement.max_range_m="
+            if any(not grid[f"{axis}_min_m"] + shift_m <= there[axis] <= high[axis] - shift_m for axis in "xy"):
+                moved, shift = (f" and moved by {shift_m:g} m", ", attack.max_shift_m=") if shift_m else ("", "")
+                what = f"vehicles are put at x {x:.0f} m, y {y:.0f} m{moved}, which {name}'s range leaves out"
+                remedy = f"Give scenes that it was trained on, as scenes=kitti{shift} or attack.placement.max_range_m="
                 raise InputError(what, "detector.config", remedy)
 
 

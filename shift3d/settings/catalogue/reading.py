@@ -135,7 +135,8 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle.model_dump()), scoring_detectors(config.detector)
     layouts, sector = detector_layouts(config.detector), scenes.placement_sector_rad
-    require_in_range(layouts, sector, config.attack.placement.max_range_m)
+    placement = config.attack.placement
+    require_in_range(layouts, sector, (placement.min_range_m, placement.max_range_m), config.shift_m)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
     if arguments.get("beams") is None:  # a street seen by its own sensor: tasks keep their ids
         arguments.pop("beams", None)

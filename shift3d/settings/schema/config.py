@@ -213,6 +213,10 @@ class RayRunnerConfig(Record):
     abort_after: Count | None
     abort_share: Share | None
 
+    def workers_on(self, cpus: int) -> int:
+        """Workers of a private Ray on a machine with so many CPUs; at least one."""
+        return self.workers or max(1, int(cpus // self.cpus_per_worker))
+
 
 class LocalRunnerConfig(Record):
     """This process, one task after the other."""
@@ -273,6 +277,11 @@ class Config(Record):
         if self.mode == "shape_pose" and (self.attack.search_scenes or self.attack.transfer_scenes):
             raise ValueError("attack.search_scenes and transfer_scenes are of mode=shape: a pose belongs to its scene")
         return self
+
+    @property
+    def shift_m(self) -> float:
+        """How far a search may move a vehicle from its place, in x and y."""
+        return 0.0 if self.mode == "shape" else self.attack.max_shift_m
 
     def settings(self) -> dict[str, Any]:
         """The settings that can change a result, as plain values."""

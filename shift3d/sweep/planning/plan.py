@@ -127,7 +127,8 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
 def _assets_key(config: Config) -> str:
     parts = (config.scenes, config.detector, config.accuracy, config.naturalness)
     # What a catalogue refuses for some detectors alone: an axis of it is checked at every value.
-    checked = [config.attack.search, config.attack.placement.max_range_m]
+    placement = config.attack.placement
+    checked = [config.attack.search, placement.min_range_m, placement.max_range_m, config.shift_m]
     if not {ONNX, *FOREIGN} & set(config.detector.named()):
         checked = []
     return json.dumps([part.model_dump(mode="json") for part in parts] + [_vehicles(config), checked])
@@ -169,8 +170,8 @@ def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
 
     Raises: InputError: vehicles may be put, or moved, beyond the grid of a shipped detector.
     """
-    shift_m = 0.0 if config.mode == "shape" else float(config.attack.max_shift_m)
-    require_in_grid(list(catalogue.detectors), catalogue.sector_rad, config.attack.placement.max_range_m, shift_m)
+    names, range_m = list(catalogue.detectors), config.attack.placement.max_range_m
+    require_in_grid(names, catalogue.sector_rad, range_m, config.shift_m)
     attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})
     space_hash = "" if config.mode == "pose" else catalogue.space_hash(vehicle, config.attack)
     if config.mode == "pose":  # what says where shapes may go says nothing of a pose: it makes no further task

@@ -18,7 +18,7 @@ def plan_summary(plan: Plan) -> str:
     """How many tasks, of what; and which effects their scenes call for."""
     groups = plan.tasks.groups()
     vehicles = len({group.template.vehicle for group in groups})
-    scenes = len(plan.tasks.scenes())
+    scenes, looked_at = len(plan.tasks.scenes()), len(plan.tasks.scene_names())
     modes: Counter[str] = Counter()
     for group in groups:
         modes[group.template.mode] += group.tasks
@@ -27,7 +27,7 @@ def plan_summary(plan: Plan) -> str:
     counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
     counts += f"{counted(vehicles, 'vehicle')} in {counted(scenes, 'scene')}"
     merged = merged_lines(plan.tasks)
-    return "\n".join([counts, effect_table(plan.effects, scenes), *plan.notes, *merged, *skipped_lines(plan)])
+    return "\n".join([counts, effect_table(plan.effects, looked_at), *plan.notes, *merged, *skipped_lines(plan)])
 
 
 def merged_lines(tasks: Tasks) -> list[str]:

@@ -155,6 +155,10 @@ class Tasks(Sequence[PlannedTask]):
         pairs = (divmod(int(keys[index]), len(self.task_scenes)) for index in np.argsort(first))
         return list(dict.fromkeys((names[code], self._scenes[task_scene][0]) for code, task_scene in pairs))
 
+    def scene_names(self) -> set[str]:
+        """Names of the scenes that tasks are in, or that their shapes are put into."""
+        return {name for own, _, others in self._scenes for name in (own, *(other.scene for other in others))}
+
     def ambiguous_scenes(self) -> list[tuple[str, str]]:
         """(data set, name) of scenes that differ in their content although name and `scene_arguments` are the same, as
         frames of two folders do; in the order of their first task. Contents that are not known yet are left out."""

@@ -95,6 +95,13 @@ def test_weights_that_are_none_are_refused_before_anything_runs(tmp_path: Path) 
             scoring_detectors(attacked("pointpillars", ["sst_small"], sst_small=str(file)))
 
 
+def test_weights_below_the_home_folder_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "mine.safetensors").write_bytes(weights_file("pointpillars", None).read_bytes())
+    mine = attacked("pointpillars", [], pointpillars="~/mine.safetensors")
+    assert scoring_detectors(mine) == {"pointpillars": "~/mine.safetensors"}
+
+
 def test_weights_of_a_detector_that_scores_nowhere_are_refused() -> None:
     def planned(*words: str) -> None:
         given = ["vehicle=suv", "mode=shape", "detector.other_weights.sst=mine.safetensors", *words]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import pytest
+import valid_sweeps
 from foreign_cases import CASES, far
 from pydantic import ValidationError
 
@@ -16,9 +18,11 @@ from shift3d.settings.catalogue.detector_files import (
     require_in_range,
     scoring_detectors,
 )
+from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
-from shift3d.settings.schema.config import DetectorConfig
+from shift3d.settings.schema.config import Config, DetectorConfig
+from shift3d.sweep.planning.plan import make_plan
 
 CASE = CASES["mmdet3d-centerpoint"]
 
@@ -94,14 +98,30 @@ def test_vehicles_stand_within_its_range(tmp_path: Path) -> None:
         scored_by=[], other_weights={},
     )  # fmt: skip
     layouts = detector_layouts(kitti)
-    require_in_range(layouts, (0.0, 0.4), 12.0)
+    require_in_range(layouts, (0.0, 0.4), (8.0, 12.0), 0.0)
     with pytest.raises(InputError, match=r"x -12 m, y -?0 m"):
-        require_in_range(layouts, (0.0, 3.1415927), 12.0)
+        require_in_range(layouts, (0.0, 3.1415927), (12.0, 12.0), 0.0)
     with pytest.raises(InputError, match="openpcdet's range leaves out"):
-        require_in_range(layouts, (0.0, 0.4), 20.0)
+        require_in_range(layouts, (0.0, 0.4), (8.0, 20.0), 0.0)
     wide, _ = far(CASE, tmp_path)
     layouts = detector_layouts(config(tmp_path / "far", config=str(wide)))
-    require_in_range(layouts, (0.0, 3.1415927), 50.0)
+    require_in_range(layouts, (0.0, 3.1415927), (15.0, 50.0), 0.0)
+    with pytest.raises(InputError, match=r"x -?\d+ m, y -?\d+ m and moved by 4 m, which mmdet3d.*attack\.max_shift_m"):
+        require_in_range(layouts, (0.0, 3.1415927), (15.0, 50.0), 4.0)
+    require_in_range(layouts, (0.0, 3.1415927), (15.0, 47.0), 4.0)
+
+
+def test_every_distance_of_an_axis_is_held_against_its_range(tmp_path: Path) -> None:
+    file, weights = CASE.saved(tmp_path)
+    checked: list[float] = []
+
+    def catalogue(config: Config) -> Catalogue:
+        checked.append(config.shift_m)
+        return dataclasses.replace(valid_sweeps.catalogue(config), detectors={"mmdet3d": "m"})
+
+    words = ["vehicle=suv", "detector=mmdet3d", f"detector.weights={weights}", f"detector.config={file}"]
+    make_plan(compose_sweep("default", [*words, "mode=shape,pose", "attack.max_shift_m=2,4"]), catalogue)
+    assert checked == [0.0, 2.0, 4.0]
 
 
 def test_weights_for_each_detector_of_an_axis_are_taken_where_it_is_attacked() -> None:

@@ -49,6 +49,11 @@ def test_auto_takes_what_one_scene_calls_for_there_and_nowhere_else() -> None:
     assert "fog" in table[2] and "1 of 2" in table[2] and choice.reason in table[2]
 
 
+def test_scenes_that_shapes_are_put_into_are_counted_among_those_that_were_asked() -> None:
+    summary = plan_summary(plan_of("scene=south", "attack.transfer_scenes=1", of=one_foggy))
+    assert "in 1 scene\n" in summary and "1 of 2" in summary
+
+
 def test_what_is_said_of_scenes_is_part_of_the_tasks_that_use_it() -> None:
     thick, thin = (plan_of("effects=fog", f"effects.visibility_m={metres}") for metres in (30, 60))
     assert thick.tasks[0].spec.effect_settings == {"visibility_m": 30.0}

@@ -125,3 +125,7 @@ def test_a_private_ray_has_the_cpus_that_this_process_may_use(monkeypatch: pytes
     connection.connect(config(), tasks_left=100)
     connection.connect(config("runner.workers=3"), tasks_left=100)
     assert found == [1, 3]
+    monkeypatch.setattr(connection, "usable_cpus", lambda: 5)
+    for cpus, room in ((2, 4), (0.5, 5), (8, 8)):  # two workers, ten, and one that is tried all the same
+        connection.connect(config(f"runner.cpus_per_worker={cpus}"), tasks_left=100)
+        assert found[-1] == room

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import torch
 from short_tasks import NO_GRID, STREET, WIDE, make_spec
 
+from shift3d.errors import InputError
 from shift3d.naturalness.build import reference_file
 from shift3d.naturalness.measure import NO_SURFACE, Naturalness, NaturalnessMeasure
 from shift3d.naturalness.reference import Nearest
@@ -145,7 +147,8 @@ def measured_codes(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 def test_kinds_are_measured_where_a_budget_chooses_among_them_alone(
     attack: AttackSpec, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Naturalness, "of_code", Counted().of_code)
+    natural = replace(SHAPE, sizes=Sizes(4.5, 1.8, 1.5, 0.2, 0.1))
+    monkeypatch.setattr(Naturalness, "of_code", Counted(natural).of_code)
     prepare_naturalness(SPEC, [make_spec(attack=attack), pose_of(attack)])
     assert cache.exists() == (attack is FAMILY)
 
@@ -159,3 +162,12 @@ def test_a_search_over_kinds_without_a_budget_measures_none(cache: Path) -> None
     spec = make_spec(attack=attack, lambda_=0.0, reference_hash=source_hash(reference_source(WIDE)), **NO_GRID)
     assert run_task(spec, load_assets(SPEC)).shapes
     assert not cache.exists()
+
+
+def test_vehicles_beyond_their_budget_are_named_before_anything_runs() -> None:
+    """Each of their tasks would fail; those of a pose, and of a search over kinds, would not."""
+    tight = AttackSpec(naturalness=1e-6)
+    prepare_naturalness(SPEC, [make_spec("pose", attack=tight), make_spec(attack=AttackSpec(naturalness=100.0))])
+    templates = [make_spec(vehicle=name, attack=tight) for name in ("suv", "coupe")]
+    with pytest.raises(InputError, match=r"suv \(percentile [\d.]+\) beyond 1e-06; coupe \(.*larger budget"):
+        prepare_naturalness(SPEC, [*templates, make_spec(attack=AttackSpec(naturalness=100.0))])

@@ -59,7 +59,7 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
             _check_token(config.address)
             ray.init(address=config.address, **quiet)
         else:
-            workers = min(config.workers or usable_cpus(), max(tasks_left, 1))
+            workers = min(config.workers_on(usable_cpus()), max(tasks_left, 1))
             with _on_loopback(), _agent_on_any_port(), _deaf_to_sigterm():
                 ray.init(
                     address="local",
