@@ -184,8 +184,10 @@ def _rules(sweep: Sweep) -> Figures:
     for tried in failure_rules(objects):
         label = f"rule/{rule_text(tried.rule)}"
         yield f"{label}/holds", _one(int(tried.confirmed))
-        for group, interval in {"where it was found": tried.found, **tried.tried}.items():
-            yield f"{label}/{group}", _within(interval.mean, interval, "score", tried.objects)
+        yield f"{label}/where it was found", _within(tried.found.mean, tried.found, "score", tried.objects)
+        for group, interval in tried.tried.items():
+            if interval:
+                yield f"{label}/{group}", _within(interval.mean, interval, "score")
 
 
 def _edits(sweep: Sweep) -> Figures:

@@ -20,6 +20,7 @@ from scripts.evidence import record
 PAGES = sorted(
     [record.ROOT / "README.md", *(p for p in (record.ROOT / "docs").rglob("*.md") if p.parent.name != "reference")]
 )
+TABLES = Path(__file__).parent / "tables"
 _BLOCK = re.compile(r"(<!-- ?measured: ?([^>]*?) ?-->\n)(.*?)(\n<!-- ?end ?-->)", re.DOTALL)
 _TABLE = re.compile(r"^\|.*(?:\n\|.*)+$", re.MULTILINE)
 # A number that was measured has a fraction, a unit of time, size or length, or is one of many.
@@ -67,13 +68,14 @@ def _draw(call: str) -> str:
 @functools.cache
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "tables"),
+        loader=jinja2.FileSystemLoader(TABLES),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         autoescape=False,
     )
     environment.globals |= {"figures": _figures, "at": _at, "paper": _paper, "groups": _groups, "sides": _sides}
+    environment.globals["elsewhere"] = _elsewhere
     environment.filters |= {"num": _number, "between": _between, "both": _both}
     return environment
 
@@ -122,6 +124,24 @@ def _paper(mode: str, detector: str, scored_by: str) -> Mapping[str, Any]:
         more = {"mean": table.aucs.mean(method, names), "of baseline": table.aucs.of_baseline(method, names)}
         found[method] = {key: {"value": value} for key, value in {**of, **more}.items() if value is not None}
     return found
+
+
+def _elsewhere(name: str) -> dict[str, Any]:
+    """What shapes of a sweep do in scenes that they were not searched in, by "SEARCH DETECTOR", as "descent sst": what
+    `transfer_table` counts, "lower in" in per cent.
+
+    universal.json, written down by hand, has one search and its own names, and a share.
+    """
+    figures = _figures(name)
+    found = {_LABEL.sub(r"\1 \2", label): one for label, one in _groups(figures).get("elsewhere", {}).items()}
+    if found:
+        return found
+    share = figures["lower in"]
+    known = {"ratio": figures["of baseline"], "lower in": share | {"value": 100 * share["value"]}}
+    return {"descent pointpillars": {**figures, **known}}
+
+
+_LABEL = re.compile(r"(?:shape, )?([a-z]+)[_,].* (\w+)")
 
 
 def _sides() -> Mapping[str, Any]:

@@ -28,7 +28,7 @@ class Interval:
     high: float
 
 
-def mean_interval(values: ArrayLike, groups: Sequence[object]) -> Interval:
+def mean_interval(values: ArrayLike, groups: Sequence[object], others: Sequence[object] | None = None) -> Interval:
     """Mean of values (N,) and its bootstrap interval, whole groups (N names) drawn with replacement.
 
     With a single group the interval is infinite. Where all groups agree it is a point. The same values give the same
@@ -37,11 +37,16 @@ def mean_interval(values: ArrayLike, groups: Sequence[object]) -> Interval:
     With few groups it is too narrow, as bootstraps are: of normal draws it held the mean in 88 % of the cases with 8
     groups, 93 % with 20, 94 % with 40, 95 % with 200 (1,000 repetitions each).
 
+    others: N names of groups that are draws too, see `_crossed`.
+
     Source: Efron's BCa bootstrap (scipy), clusters resampled (Davison and Hinkley 1997, section 3.8).
     """
     numbers = np.asarray(values, dtype=np.float64)
     names, index = np.unique(np.asarray([str(group) for group in groups]), return_inverse=True)
     mean = float(numbers.mean())
+    if others is not None:
+        influences = (numbers - mean) / len(numbers)
+        return _crossed(mean_interval(values, groups), influences, groups, others)
     if len(names) < 2:
         return Interval(mean, -np.inf, np.inf)
     sums, counts = (np.bincount(index, part).astype(np.float64) for part in (numbers, np.ones_like(numbers)))
@@ -71,13 +76,18 @@ def _bca(parts: Sequence[FloatArray], statistic: Callable[..., FloatArray], mean
     return Interval(mean, float(found.low), float(found.high))
 
 
-def difference_interval(values: ArrayLike, inside: NDArray[np.bool_], groups: Sequence[object]) -> Interval:
+def difference_interval(
+    values: ArrayLike, inside: NDArray[np.bool_], groups: Sequence[object], others: Sequence[object] | None = None
+) -> Interval:
     """Mean of the values (N,) inside less that of the others, and its percentile bootstrap, whole groups redrawn.
 
-    inside: (N,), neither all nor none. Infinite where fewer than two groups hold values on either side.
+    inside: (N,), neither all nor none. Infinite where fewer than two groups hold values on either side. others: N names
+    of groups that are draws too, see `_beside_others`.
     Source: Davison and Hinkley 1997, section 3.8 (clusters).
     """
     numbers = np.asarray(values, dtype=np.float64)
+    if others is not None:
+        return _beside_others(difference_interval(values, inside, groups), numbers, inside, others)
     _, index = np.unique(np.asarray([str(group) for group in groups]), return_inverse=True)
     sides = []
     for rows in (inside, ~inside):
@@ -92,6 +102,61 @@ def difference_interval(values: ArrayLike, inside: NDArray[np.bool_], groups: Se
     found = inner - outer
     low, high = np.quantile(found[np.isfinite(found)], _ENDS)
     return Interval(mean, min(float(low), mean), max(float(high), mean))
+
+
+def _beside_others(
+    found: Interval, numbers: FloatArray, inside: NDArray[np.bool_], others: Sequence[object]
+) -> Interval:
+    """A difference's interval that redraws groups, widened by what other groups, as vehicles, differ among each other.
+
+    A mean over few of them says little of others, however many values each has. They differ as much on one side as on
+    the other: the few of one side say too little of that themselves. Infinite where fewer than two are on either side.
+
+    numbers, inside, others: (N,) as of `difference_interval`.
+    Source: Student's two-sample t over the groups' means, its square added to that of the interval.
+    """
+    names, index = np.unique(np.asarray([str(one) for one in others]), return_inverse=True)
+    sides = inside, ~inside
+    on = [len(np.unique(index[side])) for side in sides]
+    freedom = len(names) - (1 if min(on) == len(names) else 2)  # one mean, or one a side
+    if min(on) < 2:
+        return Interval(found.mean, -np.inf, np.inf)
+    means = np.where(inside, *(numbers[side].mean() for side in sides))
+    apart = np.bincount(index, numbers - means) / np.bincount(index)
+    shares = np.bincount(index, np.where(inside, 1.0 / inside.sum(), -1.0 / (~inside).sum()))
+    return _widened(found, (apart**2).sum() / freedom * (shares**2).sum(), freedom)
+
+
+def _widened(found: Interval, variance: float, freedom: int) -> Interval:
+    """An interval with a further variance of so many degrees of freedom."""
+    from scipy.stats import t
+
+    half = t.ppf(_ENDS[1], freedom) * np.sqrt(variance)
+    below, above = (float(np.hypot(end - found.mean, half)) for end in (found.low, found.high))
+    return Interval(found.mean, found.mean - below, found.mean + above)
+
+
+def _crossed(found: Interval, influences: FloatArray, groups: Sequence[object], others: Sequence[object]) -> Interval:
+    """A mean's interval that redraws groups, widened by what other groups of the same rows add to the variance.
+
+    Objects of one scene are no independent draws, and neither are those of one shape: the variance is that over the
+    groups, plus that over the others, less that over both together, which is in either. Infinite where the others are a
+    single one.
+
+    influences: (N,) by how much each row moves the mean. groups, others: N names each.
+    Source: Cameron, Gelbach and Miller 2011 (two-way clusters), with Student's t for few of the others.
+    """
+    count = len(set(map(str, others)))
+    if count < 2:
+        return Interval(found.mean, -np.inf, np.inf)
+    added = _variance(influences, others) * count / (count - 1) - _variance(influences, list(zip(groups, others)))
+    return _widened(found, max(added, 0.0), count - 1)
+
+
+def _variance(influences: FloatArray, groups: Sequence[object]) -> float:
+    """Of a mean, over groups (N names) of rows that move it so far (N,)."""
+    _, index = np.unique(np.asarray([str(group) for group in groups]), return_inverse=True)
+    return float((np.bincount(index, influences) ** 2).sum())
 
 
 def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
@@ -116,16 +181,19 @@ def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
     return _bca((*sums.T, *counts.T), statistic, mean, len(rows))
 
 
-def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame) -> Interval | None:
+def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame, others: str | None = None) -> Interval | None:
     """Mean over vehicles of the AUCs of some rows over that of others, and its percentile bootstrap.
 
     rows, reference: columns score, vehicle, place. Places are redrawn whole, with both their parts, so that what makes
     a scene hard is in both. None where a part is empty or the reference is 0; infinite with a single place. Its end is
-    infinite where more than 2.5 % of the draws hold none of the reference but scores of 0.
+    infinite where more than 2.5 % of the draws hold none of the reference but scores of 0. others: column of groups
+    that are draws too, see `_crossed`.
     Source: Davison and Hinkley 1997, section 3.8 (clusters).
     """
     if rows.empty or reference.empty:
         return None
+    if others is not None:
+        return _crossed_ratio(rows, reference, others)
     places, vehicles = (sorted({*rows[name], *reference[name]}) for name in ("place", "vehicle"))
     above, below = (_sums(part, places, vehicles) for part in (rows, reference))
     one = np.ones((1, len(places)))
@@ -141,6 +209,21 @@ def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame) -> Interval | No
     ordered = np.sort(found[~np.isnan(found)])  # a draw without any row of one part has no ratio, nor has 0 / 0
     low, high = (_quantile(ordered, end) for end in _ENDS)
     return Interval(ratio, min(low, ratio), max(high, ratio))
+
+
+def _crossed_ratio(rows: pd.DataFrame, reference: pd.DataFrame, others: str) -> Interval | None:
+    """`ratio_interval` where the groups of a column are draws, too."""
+    if (found := ratio_interval(rows, reference)) is None:
+        return None
+    parts = []
+    for part in (rows, reference):
+        by_vehicle = part.groupby("vehicle")["score"]
+        means, counts = by_vehicle.transform("mean"), by_vehicle.transform("size")
+        parts.append((part["score"] - means) / counts / by_vehicle.ngroups)
+    below = reference.groupby("vehicle")["score"].mean().mean()
+    influences = np.concatenate((parts[0], -found.mean * parts[1])) / below
+    both = pd.concat([rows, reference])
+    return _crossed(found, influences, both["place"], both[others])
 
 
 def _quantile(ordered: FloatArray, share: float) -> float:

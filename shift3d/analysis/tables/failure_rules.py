@@ -41,18 +41,18 @@ class TriedRule:
     """A rule and the difference in mean score between objects that it holds for and the others, by group of objects.
 
     Neither are objects that a rule before it in the list holds for. objects: that it holds for, where it was found.
-    tried: by the name of the group; a group without objects on either side is not in it.
+    tried: by the name of the group, which has objects; None where it has none on one of the sides.
     """
 
     rule: FailureRule
     objects: int
     found: Interval
-    tried: Mapping[str, Interval]
+    tried: Mapping[str, Interval | None]
 
     @property
     def confirmed(self) -> bool:
-        """Whether the rule was tried, and its interval lies below zero in every group that it was tried in."""
-        return len(self.tried) > 0 and all(interval.high < 0 for interval in self.tried.values())
+        """Whether there is a group to try the rule in, and its interval lies below zero in every one."""
+        return len(self.tried) > 0 and all(found is not None and found.high < 0 for found in self.tried.values())
 
 
 def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
@@ -88,12 +88,10 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     tried = []
     for rule in find_rules(_quantities(objects[found_on], known), scores[found_on]):
         holds = rule.holds(_quantities(objects, known))
-        trials = {name: _difference(objects, holds, rows & rest) for name, rows in groups.items()}
-        found, count = _difference(objects, holds, found_on & rest), int((holds & found_on & rest).sum())
+        trials = {name: _difference(objects, holds, rows & rest, ours) for name, rows in groups.items() if rows.any()}
+        found, count = _difference(objects, holds, found_on & rest, ours), int((holds & found_on & rest).sum())
         assert found is not None, "where it was found a rule tells objects apart"
-        tried.append(
-            TriedRule(rule, count, found, {name: trial for name, trial in trials.items() if trial is not None})
-        )
+        tried.append(TriedRule(rule, count, found, trials))
         rest &= ~holds
     return tried
 
@@ -119,7 +117,8 @@ def rules_objects(sweep: Sweep) -> pd.DataFrame:
     """Every scored baseline, random and adversarial object with all that a rule may be about, a row a detector.
 
     Sizes are NaN where shapes were not measured; a pose task changes none, and its objects have the baseline's. A
-    baseline that tasks share is one object, and so is a vehicle that no step of a search has changed.
+    baseline that tasks share is one object, and so is a vehicle that no step of a search has changed. The vehicle of a
+    shape of another kind is the one that it was drawn as.
     """
     rows = sweep.scored
     rows = rows[rows["method"].isin(_METHODS)].drop_duplicates(["task_id", "scored_by", "method", "replicate"])
@@ -132,6 +131,9 @@ def rules_objects(sweep: Sweep) -> pd.DataFrame:
     rows = rows.drop_duplicates(
         ["dataset", "scene", "vehicle", "detector", "scored_by", "accuracy", *pose, *_SIZES, "score"]
     )
+    kinds = sweep.solutions[["task_id", "method", "replicate", "drawn_as"]]
+    rows = rows.merge(kinds, on=["task_id", "method", "replicate"], how="left")
+    rows = rows.assign(vehicle=rows["drawn_as"].fillna(rows["vehicle"]))
     tilt = np.degrees(np.maximum(rows["pitch_rad"].abs(), rows["roll_rad"].abs()))
     aspect = aspect_deg(rows["x_m"].to_numpy(), rows["y_m"].to_numpy(), rows["yaw_rad"].to_numpy())
     return rows.assign(tilt_deg=tilt, aspect_deg=aspect)
@@ -141,28 +143,37 @@ def _quantities(rows: pd.DataFrame, names: list[str]) -> dict[str, NDArray[np.fl
     return {name: rows[name].to_numpy(np.float64) for name in names}
 
 
-def _difference(objects: pd.DataFrame, holds: NDArray[np.bool_], rows: pd.Series) -> Interval | None:
+def _difference(objects: pd.DataFrame, holds: NDArray[np.bool_], rows: pd.Series, ours: pd.Series) -> Interval | None:
     """In mean score, between the objects of some rows that a rule holds for and the others; None where a side is empty.
 
-    holds, rows: (N,) of the objects.
+    Scenes are draws; where some vehicles are not among those that the rule was found on, vehicles too: what it says of
+    others is known from so many vehicles, in however many scenes they stand.
+
+    holds, rows, ours: (N,) of the objects; ours: of the vehicles that rules are found on.
     """
     inside, part = holds[rows], objects[rows]
     if inside.all() or not inside.any():
         return None
-    return difference_interval(part["score"], inside, list(part["place"]))
+    others = part["vehicle"] if (rows & ~ours).any() else None
+    return difference_interval(part["score"], inside, part["place"], others)
 
 
 def rules_table(rules: list[TriedRule]) -> Table:
     """A line a rule: objects that no line above it holds for, what it costs where it was found, and where tried."""
-    groups = list(dict.fromkeys(name for rule in rules for name in rule.tried))
     lines: list[list[str]] = []
     for tried in rules:
-        cells = [interval_text(tried.tried[name], 2) if name in tried.tried else "-" for name in groups]
-        verdict = "yes" if tried.confirmed and len(tried.tried) == len(groups) else "no"
+        cells = [_difference_text(found) for found in (tried.found, *tried.tried.values())]
         words = f"{'else ' if lines else ''}{rule_text(tried.rule)}"
-        lines.append([words, str(tried.objects), interval_text(tried.found, 2), *cells, verdict])
-    header = ["", "objects", "AUC against the others", *groups, "holds"]
+        lines.append([words, str(tried.objects), *cells, "yes" if tried.confirmed else "no"])
+    header = ["", "objects", "AUC against the others", *(rules[0].tried if rules else ()), "holds"]
     return Table("Failure rules: what the objects that are missed share", header, lines)
+
+
+def _difference_text(found: Interval | None) -> str:
+    """Without an interval where fewer than two scenes or vehicles are on a side."""
+    if found is None or math.isfinite(found.low):
+        return interval_text(found, 2)
+    return f"{found.mean:+.2f} (too few)"
 
 
 def rule_text(rule: FailureRule) -> str:

@@ -54,13 +54,14 @@ def _pool_line(name: str, rows: pd.DataFrame) -> list[str]:
 def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
     """A row a solution and detector that the paper's rule does not exclude, with `place` and the controls' means.
 
-    retrieved: of ``final/``. control, control_in_log: mean scores of the controls, where there are some.
+    retrieved: of ``final/``. control, control_in_log: mean scores of the controls, where there are some. log_place:
+    that of the retrieved vehicle's own scene.
     """
     rows = retrieved[~retrieved["excluded"].astype(bool)]
     controls = rows[rows["role"] == "control"].groupby(_KEY)[["score", "pool_score"]].mean()
     controls = controls.rename(columns={"score": "control", "pool_score": "control_in_log"})
     found = rows[rows["role"] == "retrieved"].merge(controls.reset_index(), on=_KEY, how="left")
-    return found.assign(place=places_of(found))
+    return found.assign(place=places_of(found), log_place=places_of(found, "pool_dataset", "pool_scene"))
 
 
 def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
@@ -108,10 +109,11 @@ def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
 
 
 def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
-    """A line a search and scoring detector: mean scores, and differences with their intervals, whole scenes redrawn.
+    """A line a search and scoring detector: mean scores, and differences with their intervals.
 
-    Differences are taken solution by solution. "in the log": before the attacked detector where the vehicles stand,
-    scenes of the pool redrawn. None where nothing was retrieved.
+    Differences are taken solution by solution. Draws are the scenes of the solutions and those that the retrieved
+    vehicles are of: one vehicle may be the nearest to many shapes. "in the log": before the attacked detector where the
+    vehicles stand, scenes of the pool redrawn. None where nothing was retrieved.
     """
     if retrieved.empty:
         return None
@@ -120,11 +122,10 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
         rows, matched = group.rows, group.matched
         line = [group.label, group.scored_by, f"{len(rows)} of {group.solutions}"]
         line += [number(mean, 3) for mean in group.means.values()]
-        line.append(_mean(rows["score"] - rows["score_baseline"], rows["place"]))
-        line.append(_mean(matched["score"] - matched["control"], matched["place"]))
+        line.append(_mean(rows["score"] - rows["score_baseline"], rows["place"], rows["log_place"]))
+        line.append(_mean(matched["score"] - matched["control"], matched["place"], matched["log_place"]))
         in_log = matched.drop_duplicates(["pool_dataset", "pool_scene", "pool_label"])
-        log = places_of(in_log, "pool_dataset", "pool_scene")
-        line.append(_mean(in_log["pool_score"] - in_log["control_in_log"], log))
+        line.append(_mean(in_log["pool_score"] - in_log["control_in_log"], in_log["log_place"]))
         lines.append(line)
     if not lines:
         return Table("No vehicle of the pool is near enough to a shape", ["", "retrieved"], [["", "0"]])
@@ -133,5 +134,5 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
     return Table("The shapes' natural kin, put in their place", header, lines)
 
 
-def _mean(values: pd.Series, places: pd.Series) -> str:
-    return interval_text(mean_interval(values, list(places)) if len(values) else None, 3)
+def _mean(values: pd.Series, places: pd.Series, others: pd.Series | None = None) -> str:
+    return interval_text(mean_interval(values, places, others) if len(values) else None, 3)

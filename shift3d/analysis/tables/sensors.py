@@ -15,20 +15,22 @@ _TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings", 
 def transfer_table(transfers: pd.DataFrame) -> Table | None:
     """A line a mode, search and scoring detector: placements, AUC before and after, and their ratio with its interval.
 
-    transfers: of ``final/``. Means are those of the vehicles' means; intervals redraw whole scenes. A placement on
-    which the shape breaks a constraint counts as any other. None where nothing was put into another scene.
+    transfers: of ``final/``. Means are those of the vehicles' means; intervals redraw whole scenes, those that shapes
+    were searched in and those that they were put into. A placement on which the shape breaks a constraint counts as any
+    other. None where nothing was put into another scene.
     """
     placed = transfers[transfers["score"].notna()]
     if placed.empty:
         return None
     placed = placed.assign(settings=differing_settings(placed, ("accuracy", "effects")))
-    placed = placed.assign(place=places_of(placed, scene="other_scene"))
+    placed = placed.assign(place=places_of(placed, scene="other_scene"), searched_in=places_of(placed))
     lines = []
     for (*search, scored_by), rows in placed.groupby(_TRANSFER_GROUP, sort=False, dropna=False):
         before = rows.assign(score=rows["score_baseline"])
         counts = [str(len(rows)), str(rows["place"].nunique())]
         means = [number(_vehicle_mean(part)) for part in (before, rows)]
-        ratio, fell = interval_text(ratio_interval(rows, before), 2, ""), rows["score"] < rows["score_baseline"]
+        ratio = interval_text(ratio_interval(rows, before, "searched_in"), 2, "")
+        fell = rows["score"] < rows["score_baseline"]
         lines.append([search_label(*search), scored_by, *counts, *means, ratio, f"{fell.mean():.0%}"])
     header = ["", "scored by", "placements", "scenes", "baseline", "shape", "ratio", "lower in"]
     return Table("The shapes in scenes that they were not searched in", header, lines)

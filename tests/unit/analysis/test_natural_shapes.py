@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 import valid_sweeps
 from analysed import blocks_html, variant
+from scipy.stats import t
 
 from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import transfer_grid
@@ -147,9 +149,12 @@ def transfers(places: int = 6) -> pd.DataFrame:
     }
     rows = []
     for number in range(places):
-        rows.append(group | {"vehicle": "suv", "other_scene": f"s{number}", "score_baseline": 0.8, "score": 0.4})
-        rows.append(group | {"vehicle": "coupe", "other_scene": f"s{number}", "score_baseline": 0.4, "score": 0.4})
-    rows.append(group | {"vehicle": "suv", "other_scene": "full", "score_baseline": None, "score": None})
+        there = group | {"scene": f"home{number}", "other_scene": f"s{number}"}
+        rows.append(there | {"vehicle": "suv", "score_baseline": 0.8, "score": 0.4})
+        rows.append(there | {"vehicle": "coupe", "score_baseline": 0.4, "score": 0.4})
+    rows.append(
+        group | {"vehicle": "suv", "scene": "home", "other_scene": "full", "score_baseline": None, "score": None}
+    )
     return pd.DataFrame(rows)
 
 
@@ -158,6 +163,25 @@ def test_shapes_in_other_scenes_by_their_vehicles_means() -> None:
     assert line[-8:] == ["12", "6", "0.600", "0.400", "0.67", "[0.67,", "0.67]", "50%"]
     assert transfer_table(transfers(0)) is None
     assert "(one scene)" in str(transfer_table(transfers(1))), "one scene has no interval"
+
+
+def test_what_shapes_do_elsewhere_is_as_uncertain_as_so_many_shapes_leave_it() -> None:
+    """Nine shapes of which some are missed everywhere, in twelve other scenes each."""
+    known = transfers(1).iloc[0].to_dict()
+    ends = [0.1, 0.7] * 4 + [0.1]
+    rows = pd.DataFrame(
+        known | {"scene": f"home{shape}", "other_scene": f"s{place}", "score_baseline": 0.8, "score": score}
+        for shape, score in enumerate(ends)
+        for place in range(12)
+    )
+    table = transfer_table(rows)
+    assert table is not None
+    mean, low, high = map(float, re.findall(r"[0-9.]+", str(table.lines[0][-2])))
+    half = t.ppf(0.975, 8) * float(np.std(ends)) / 3 / 0.8
+    assert mean == pytest.approx(np.mean(ends) / 0.8, abs=0.01)
+    assert (low, high) == pytest.approx((mean - half, mean + half), abs=0.15 * half)
+    alone = transfer_table(rows[rows["scene"] == "home0"])
+    assert alone is not None and "(one scene)" in str(alone.lines[0][-2]), "one shape says nothing of others"
 
 
 def test_placements_under_other_effects_or_accuracies_have_lines_of_their_own() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import t
 
 from shift3d.analysis.mlflow.sweep import follow_up_metrics
 from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
@@ -131,6 +133,21 @@ def test_kin_are_compared_with_the_mean_of_their_controls_and_the_excluded_are_l
     assert retrieval_table(pd.DataFrame(rows).iloc[:0]) is None
     nothing = retrieval_table(pd.DataFrame(rows).iloc[-1:])
     assert nothing is not None and "No vehicle of the pool is near enough" in nothing.title
+
+
+def test_kin_are_so_many_vehicles_however_many_shapes_they_are_the_nearest_to() -> None:
+    """Of twenty shapes in as many scenes four vehicles are the kin: what they score less is known from four."""
+    less = np.array([0.0, 0.1, 0.2, 0.3])
+    rows = [
+        retrieved(f"s{number}", "retrieved", 0.8 - less[number % 4]) | {"pool_scene": f"pool-{number % 4}"}
+        for number in range(20)
+    ]
+    table = retrieval_table(pd.DataFrame(rows))
+    assert table is not None
+    cell = dict(zip(table.header, table.lines[0]))["retrieved less baseline"]
+    mean, low, high = map(float, re.findall(r"[-+][0-9.]+", str(cell)))
+    half = t.ppf(0.975, 3) * less.std(ddof=1) / 2
+    assert mean == -0.15 and low <= mean - 0.9 * half and high >= mean + 0.9 * half
 
 
 def test_vehicles_of_two_data_sets_are_two_whatever_their_scenes_are_called() -> None:

@@ -134,7 +134,9 @@ def test_an_edit_is_judged_against_the_other_end_of_its_range_at_the_same_place(
     row = sweep.scores[sweep.scores["score"].notna()].iloc[0].to_dict() | {"method": "edited", "vehicle": "van"}
     ends = [("low", 0.8, "a"), ("high", 0.5, "a"), ("low", 0.6, "b"), ("high", 0.6, "b"), ("low", 0.9, "alone")]
     scores = pd.DataFrame([row | {"search": f"edit {end}", "score": score, "scene": at} for end, score, at in ends])
-    sizes = pd.DataFrame([{"task_id": row["task_id"], "method": "edited", "height_m": 1.9, "width_m": 2.1}])
+    sizes = pd.DataFrame(
+        [{"task_id": row["task_id"], "method": "edited", "length_m": 5.0, "height_m": 1.9, "width_m": 2.1}]
+    )
     found = dict(_edits(dataclasses.replace(sweep, scores=scores, shapes=sizes)))
     label = f"edits/van {row['scored_by']}"
     change = found[f"{label}/change"]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 from scripts.evidence import pages, plan, record
 from scripts.evidence.readers import read_figures
+
+from shift3d.accuracy_time import drive
 
 ROOT = Path(__file__).parents[3]
 ENTRIES = {entry.name: entry for entry in plan.read_plan()}
@@ -29,6 +33,55 @@ def test_another_figure_draws_another_table(monkeypatch: pytest.MonkeyPatch) -> 
     found["figures"]["0.1/500 objects/found"]["value"] = 0.123
     monkeypatch.setattr(record, "read", lambda name: found)
     assert "12.3%" in pages.drawn(text) and "12.3%" not in text
+
+
+@pytest.mark.parametrize(
+    ("page", "shown", "times"),
+    [("why/experiments.md", "| 71 | 0.800 | 0.400 | 0.51 | 93 % |", 5), ("open.md", "| 0.51; natural vehicles", 1)],
+)
+def test_what_is_measured_again_is_drawn_by_the_names_that_its_script_gives(
+    page: str, shown: str, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names of a line are the labels that the table of other scenes has; the first one was written down by hand."""
+    labels = {"universal": {"descent_universal4, lambda 1": ["pointpillars"]}}
+    labels["universal_natural"] = {
+        f"{search}_family_within95_universal4, lambda 0": ["pointpillars", "sst"]
+        for search in ("expectation", "random")
+    }
+    columns = {"placements": 71.0, "baseline": 0.8, "shape": 0.4, "ratio": 0.511, "lower in": 93.0}
+    own = record.read
+
+    def read(name: str) -> dict[str, Any]:
+        figures = {
+            f"elsewhere/shape, {label}, alpha 0.01, pointpillars {by}/{column}": {"value": value}
+            for label, detectors in labels.get(name, {}).items()
+            for by in detectors
+            for column, value in columns.items()
+        }
+        return own(name) | ({"figures": figures} if figures else {})
+
+    monkeypatch.setattr(record, "read", read)
+    assert pages.drawn((ROOT / "docs" / page).read_text(encoding="utf-8")).count(shown) == times
+
+
+def test_the_shapes_that_are_drawn_are_those_that_are_measured() -> None:
+    shown = re.findall(r"adversarial, lambda (\d+)", (pages.TABLES / "naturalness.md.j2").read_text(encoding="utf-8"))
+    assert f"attack.lambda={','.join(shown)} " in ENTRIES["naturalness"].command
+
+
+def test_a_processor_without_bfloat16_leaves_its_row_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    text, found = (ROOT / "docs" / "why" / "accuracy.md").read_text(encoding="utf-8"), record.read("frontier")
+    found["figures"] = {name: one for name, one in found["figures"].items() if "bfloat16" not in name}
+    own = record.read
+    monkeypatch.setattr(record, "read", lambda name: found if name == "frontier" else own(name))
+    gone = [line for line in text.splitlines() if line not in pages.drawn(text).splitlines()]
+    assert len(gone) == 1 and gone[0].startswith("| `bfloat16_band_m=0` |")
+
+
+def test_a_frontier_depends_on_what_its_own_journal_depends_on() -> None:
+    """The folders whose change makes `make frontier` measure afresh."""
+    for name in ("frontier", "final_newton"):
+        assert [room for room in drive._CODE if f"shift3d/{room}/*" not in ENTRIES[name].depends] == []
 
 
 def test_every_number_of_a_table_is_drawn_or_listed_with_a_reason() -> None:

@@ -147,6 +147,71 @@ def test_an_object_whose_size_is_not_known_takes_no_size_from_the_others() -> No
     assert left_out(unmeasured) is None, "what most objects lack is asked of none"
 
 
+def by_chance(seed: int, scenes: int = 20, vehicles: int = 60) -> pd.DataFrame:
+    """Vehicles that are missed more and less for reasons of their own: no size, and nothing else, has to do with it."""
+    rng = np.random.default_rng(seed)
+    own = rng.normal(0.6, 0.2, vehicles)
+    sizes = pd.DataFrame(rng.uniform(1.0, 2.0, (vehicles, 4)), columns=list(SIZES))
+    rows = pd.DataFrame(
+        {"place": f"s{scene:02}", "vehicle": f"v{vehicle:02}", "detector": "a", "scored_by": by}
+        for scene in range(scenes) for vehicle in range(vehicles) for by in "ab"
+    )  # fmt: skip
+    number = rows["vehicle"].str[1:].astype(int)
+    score = own[number] + rng.normal(0, 0.1, len(rows))
+    rows = rows.assign(score=score, range_m=20.0, aspect_deg=0.0, tilt_deg=0.0)
+    return rows.join(sizes.loc[number].reset_index(drop=True))
+
+
+def test_what_vehicles_owe_to_chance_confirms_no_rule_about_other_vehicles() -> None:
+    """However many scenes they stand in, the others are so many vehicles. By scenes alone a third of the rules held."""
+    found = [rule for seed in range(12) for rule in failure_rules(by_chance(seed))]
+    assert len(found) >= 30
+    assert all(rule.tried["other scenes"].high < 0 for rule in found), "of the same vehicles each rule is true"
+    assert sum(rule.confirmed for rule in found) / len(found) <= 0.1
+
+
+def test_vehicles_are_draws_as_scenes_are() -> None:
+    """Scores of vehicles alone: in however many scenes, the difference is as uncertain as so many vehicles leave it."""
+    rng = np.random.default_rng(3)
+    own = np.concatenate((rng.normal(0.3, 0.1, 40), rng.normal(0.7, 0.1, 40)))
+    vehicles, places = np.repeat(np.arange(80), 12), np.tile(np.arange(12), 80)
+    inside = vehicles < 40
+    alone = difference_interval(own[vehicles], inside, list(places))
+    assert (alone.low, alone.high) == pytest.approx((alone.mean, alone.mean)), "scenes alone see nothing of it"
+    both = difference_interval(own[vehicles], inside, list(places), list(vehicles))
+    half = 1.96 * math.hypot(own[:40].std() / 40**0.5, own[40:].std() / 40**0.5)
+    assert both.mean == alone.mean == pytest.approx(own[:40].mean() - own[40:].mean())
+    assert (both.low, both.high) == pytest.approx((both.mean - half, both.mean + half), abs=0.1 * half)
+    one = difference_interval(own[vehicles], vehicles == 0, list(places), list(vehicles))
+    assert math.isinf(one.high), "one vehicle says nothing of others"
+
+
+def test_a_rule_that_no_other_vehicle_can_be_asked_about_does_not_hold() -> None:
+    rows = objects().assign(range_m=20.0, height_m=1.5)
+    tall = rows["vehicle"] == "v0"  # of the half that rules are found on
+    (found,) = failure_rules(rows.assign(height_m=rows["height_m"].mask(tall, 2.0), score=np.where(tall, 0.2, 0.8)))
+    assert found.tried["other scenes"].high < 0 and found.tried["other vehicles"] is None
+    assert not found.confirmed
+    table = rules_table([found])
+    assert dict(zip(table.header, table.lines[0]))["other vehicles"] == "-"
+    assert str(table).splitlines()[-1].endswith("no")
+    tall |= rows["vehicle"] == "v1"  # and one of the others, which is too few
+    (found,) = failure_rules(rows.assign(height_m=rows["height_m"].mask(tall, 2.0), score=np.where(tall, 0.2, 0.8)))
+    table = rules_table([found])
+    assert dict(zip(table.header, table.lines[0]))["other vehicles"] == "-0.60 (too few)" and not found.confirmed
+
+
+def test_a_shape_of_another_kind_is_no_object_of_the_vehicle_that_the_search_began_at(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    folder = tmp_path / "sweep"
+    valid_sweeps.write_sweep(folder)
+    write_final(folder, read_plan(folder), read_log(folder))
+    sweep = read_sweep(folder)
+    searched = sweep.solutions["method"] == "adversarial"
+    solutions = sweep.solutions.assign(drawn_as=pd.Series("camper", sweep.solutions.index).where(searched))
+    rows = rules_objects(dataclasses.replace(sweep, solutions=solutions))
+    assert dict(zip(rows["method"], rows["vehicle"])) == {"baseline": "suv", "random": "suv", "adversarial": "camper"}
+
+
 def test_too_few_scenes_are_said() -> None:
     with pytest.raises(InputError, match=r"7 scenes.*scenes\.count=8"):
         failure_rules(objects(scenes=7))

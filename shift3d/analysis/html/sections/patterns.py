@@ -15,7 +15,8 @@ _RULES_LEAD = (
     "Rules that shallow trees found on every other scene and every other vehicle. A rule is about the objects that no "
     "rule above it holds for. Each column shows the mean score of the objects that it holds for, less that of all "
     "others, on objects that it was not found on. A rule holds where all of these lie below zero with 95 % confidence. "
-    "It says what goes together, not what causes it."
+    "Scenes count as draws, and so do vehicles that it was not found on. It says what goes together, not what causes "
+    "it."
 )
 
 

@@ -7,6 +7,7 @@ import argparse
 from shift3d.cli.command import FINISHED, Command
 from shift3d.cli.outcomes import interrupted
 from shift3d.cli.words import take_folders
+from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
@@ -45,6 +46,9 @@ def _run(arguments: argparse.Namespace) -> int:
     configure_runtime()
     folder = as_location(arguments.out)
     sweep = solved_tasks(folder)  # whether it has finished, before anything is made
+    if all(group.template.mode == "pose" for group in sweep.tasks.groups()):
+        what = "no task searched a shape: nothing to retrieve"
+        raise InputError(what, str(folder), "Give a sweep of mode=shape or shape_pose")
     named, words = take_folders("pool", arguments.words)
     made, config = make_plan(compose_sweep("retrieval", words), read_catalogue)
     plan = pool_plan(made)
@@ -59,7 +63,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if scored.final is None:
         return interrupted(scored)
     table = retrieval_table(scored.final.frame("retrieved"))
-    print(f"\n{table if table else 'no task searched a shape: nothing to retrieve'}\n")
+    print(f"\n{table if table else 'no adversarial shape has a score: nothing to retrieve'}\n")
     print(f"{folder / 'final' / 'retrieved.parquet'} written in {fitted.seconds + scored.seconds:.0f} s")
     print(f"pictures and curves: shift3d report {folder}; the sweep's command again puts the scores into MLflow")
     return int(ExitCode.INCOMPLETE if fitted.quarantined or scored.quarantined else ExitCode.DONE)
