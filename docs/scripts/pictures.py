@@ -188,7 +188,8 @@ def _from_above(points: NDArray[np.float64], theta: NDArray[np.float64]) -> tupl
 
 
 def draw_training(path: Path) -> None:
-    """The losses of each detector whose training is on record beside its weights, over the crops that it has seen."""
+    """The losses of each detector whose training is on record beside its weights, over the crops of the last training
+    that was not of the heads alone."""
     import json
 
     from shift3d.detectors.models.weights import WEIGHTS_FOLDER
@@ -199,6 +200,8 @@ def draw_training(path: Path) -> None:
     for number, name in enumerate(DETECTOR_NAMES):
         file = WEIGHTS_FOLDER / f"{name}.json"
         facts = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        while facts.get("recipe", {}).get("steps") == 0:
+            facts = facts["before"]
         for loss, panel in panels.items():
             if "curve" in facts and loss in facts["curve"][0]:
                 crops = [point["step"] * facts["recipe"]["batch"] for point in facts["curve"]]
