@@ -207,7 +207,7 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
     from shift3d.settings.schema.config import MlflowConfig, RayRunnerConfig
 
     runner = config.runner
-    workers = (runner.workers or usable_cpus()) if isinstance(runner, RayRunnerConfig) else 1
+    workers = runner.workers_on(usable_cpus()) if isinstance(runner, RayRunnerConfig) else 1
     mlflow = config.tracking.uri if isinstance(config.tracking, MlflowConfig) else "none"
     detector, own_weights = config.detector.name, config.detector.weights
     attacked = folder / "attacked"
