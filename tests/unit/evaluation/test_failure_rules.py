@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import valid_sweeps
 
-from shift3d.analysis.results import read_sweep
+from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import difference_interval
 from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rule_text, rules_objects, rules_table
 from shift3d.errors import InputError
@@ -18,6 +18,14 @@ from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 
 SIZES = ("length_m", "width_m", "height_m", "clearance_m")
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+    folder = tmp_path_factory.mktemp("sweep")
+    valid_sweeps.write_sweep(folder)
+    write_final(folder, read_plan(folder), read_log(folder))
+    return read_sweep(folder)
 
 
 def drawn(count: int = 400) -> dict[str, np.ndarray]:
@@ -201,11 +209,7 @@ def test_a_rule_that_no_other_vehicle_can_be_asked_about_does_not_hold() -> None
     assert dict(zip(table.header, table.lines[0]))["other vehicles"] == "-0.60 (too few)" and not found.confirmed
 
 
-def test_a_shape_of_another_kind_is_no_object_of_the_vehicle_that_the_search_began_at(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    folder = tmp_path / "sweep"
-    valid_sweeps.write_sweep(folder)
-    write_final(folder, read_plan(folder), read_log(folder))
-    sweep = read_sweep(folder)
+def test_a_shape_of_another_kind_is_no_object_of_the_vehicle_that_the_search_began_at(sweep: Sweep) -> None:
     searched = sweep.solutions["method"] == "adversarial"
     solutions = sweep.solutions.assign(drawn_as=pd.Series("camper", sweep.solutions.index).where(searched))
     rows = rules_objects(dataclasses.replace(sweep, solutions=solutions))
@@ -222,11 +226,7 @@ def test_a_rule_reads_as_a_sentence_of_units() -> None:
     assert rule_text(rule) == "height at most 135 cm, angle to the line of sight over 70°, range 25 m to 35 m"
 
 
-def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_vehicles(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    folder = tmp_path / "sweep"
-    valid_sweeps.write_sweep(folder)
-    write_final(folder, read_plan(folder), read_log(folder))
-    sweep = read_sweep(folder)
+def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_vehicles(sweep: Sweep) -> None:
     rows = rules_objects(sweep)
     assert len(rows) and not rows.duplicated(["task_id", "scored_by", "method", "replicate"]).any()
     shapes = sweep.shapes.set_index(["task_id", "method", "replicate"])["length_m"].to_dict()
@@ -237,11 +237,7 @@ def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_veh
     assert rows["aspect_deg"].between(0, 90).all()
 
 
-def test_what_tasks_share_and_what_no_step_changed_is_one_object(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    folder = tmp_path / "sweep"
-    valid_sweeps.write_sweep(folder)
-    write_final(folder, read_plan(folder), read_log(folder))
-    sweep = read_sweep(folder)
+def test_what_tasks_share_and_what_no_step_changed_is_one_object(sweep: Sweep) -> None:
     searched = sweep.scores["method"] == "adversarial"
     again = sweep.scores.assign(task_id="again-" + sweep.scores["task_id"])
     lower = again.assign(score=again["score"].where(~searched, 0.9 * again["score"]))
