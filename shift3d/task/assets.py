@@ -237,6 +237,8 @@ def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None
     source = reference_source(spec.reference)
     measures = Naturalness(load_reference(source, "naturalness"))
     bounded = [t for t in templates if t.mode != "pose" and t.attack.naturalness > 0]
+    if not bounded:
+        return
     vehicles = vehicle_source(spec.vehicles)
     with threads(spec.threads):
         if any(t.attack.space == "family" for t in bounded):
