@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.store.user_cache import keep, kept_file, program_digest, read_kept
 from shift3d.vehicles.parameter_box import (
     BoxOfParameters,
     drawn_box,
@@ -126,7 +127,7 @@ class VehicleSet(VehicleSource):
 
     None: the five vehicles that ship. "wide": those that ship with a parametric decoder. Where a vehicle NAME is made
     of parameters, there are NAME-1, NAME-2, ... too, drawn at random from its ranges; the first call for one takes two
-    seconds.
+    seconds, once a machine.
     """
 
     def __init__(self, folder: Path | str | None = None) -> None:
@@ -150,9 +151,18 @@ class VehicleSet(VehicleSource):
         found = known(kind, self._vehicles, self._folder)
         if number and name not in self._drawn:
             code = drawn_code(found.latent_code, self.parameters(kind), self.parameters(name))
-            corners = decoded_corners(code, self.decoder(), found.sdf_R_object)
+            corners = self._corners(code, found.sdf_R_object)
             self._drawn[name] = framed(name, found.body_type, code, found.scale_m, found.sdf_R_object, *corners)
         return self._drawn[name] if number else found
+
+    def _corners(self, code: NDArray[np.float32], sdf_R_object: NDArray[np.float64]) -> NDArray[np.float64]:
+        """`decoded_corners` (2, 3), from the user's cache folder; decoded, and kept there, where it holds none."""
+        made_of = (self.decoder_hash(), code.tobytes(), sdf_R_object.tobytes())
+        file = kept_file("drawn", *made_of, program_digest("sdf", "processor.py", "vehicles"))
+        if (content := read_kept(file)) is None:
+            content = np.stack(decoded_corners(code, self.decoder(), sdf_R_object)).tobytes()
+            keep(file, content)
+        return np.frombuffer(content, np.float64).reshape(2, 3)
 
     def codes(self) -> NDArray[np.float32]:
         return np.stack([found.latent_code for found in family_vehicles(self._folder / DEFAULT_VEHICLES.name)])

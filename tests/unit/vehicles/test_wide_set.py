@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from shift3d.attack.space import parameter_space
 from shift3d.errors import InputError
+from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.vehicles.family.split import SPLIT
 from shift3d.vehicles.sources import WIDE, VehicleSet, set_folder, space_hash, vehicle_hash
@@ -75,7 +77,7 @@ def test_vehicles_of_codes_alone_have_no_parameters() -> None:
         VehicleSet().parameters("suv")
 
 
-def test_a_vehicle_drawn_from_a_kind_lies_in_its_ranges_and_is_the_same_everywhere(wide: VehicleSet) -> None:
+def test_a_vehicle_drawn_from_a_kind_lies_in_its_ranges(wide: VehicleSet) -> None:
     kind, box, drawn = wide.vehicle("trailer"), wide.parameters("trailer"), wide.vehicle("trailer-2")
     own = wide.parameters("trailer-2")
     assert wide.is_parametric("trailer-2") and "trailer-2" not in wide.names()
@@ -86,9 +88,22 @@ def test_a_vehicle_drawn_from_a_kind_lies_in_its_ranges_and_is_the_same_everywhe
     surface = vehicle_mesh(drawn, wide.decoder(), resolution=129)
     np.testing.assert_allclose(np.ptp(surface.vertices, axis=0), drawn.size_m, atol=1e-3)
     np.testing.assert_allclose(np.mean(surface.bounds, axis=0), 0.0, atol=1e-3)
-    again = VehicleSet(WIDE)
-    assert vehicle_hash(again.vehicle("trailer-2")) == vehicle_hash(drawn)
-    assert vehicle_hash(again.vehicle("trailer-1")) != vehicle_hash(drawn)
+    assert vehicle_hash(wide.vehicle("trailer-1")) != vehicle_hash(drawn)
+
+
+def test_a_drawn_vehicle_is_decoded_once_a_machine_and_again_where_its_file_is_torn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class NeverDecoding(VehicleSet):
+        def decoder(self) -> Decoder:
+            raise AssertionError("decoded again")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    drawn = vehicle_hash(VehicleSet(WIDE).vehicle("trailer-2"))
+    assert vehicle_hash(NeverDecoding(WIDE).vehicle("trailer-2")) == drawn
+    (kept,) = tmp_path.rglob("drawn/*")
+    kept.write_bytes(kept.read_bytes()[:-1])
+    assert vehicle_hash(VehicleSet(WIDE).vehicle("trailer-2")) == drawn
 
 
 def test_only_kinds_made_of_parameters_are_drawn_from() -> None:
