@@ -155,7 +155,7 @@ def test_an_object_whose_size_is_not_known_takes_no_size_from_the_others() -> No
     assert left_out(unmeasured) is None, "what most objects lack is asked of none"
 
 
-def by_chance(seed: int, scenes: int = 12, vehicles: int = 100) -> pd.DataFrame:
+def by_chance(seed: int, scenes: int = 20, vehicles: int = 60) -> pd.DataFrame:
     """Vehicles that are missed more and less for reasons of their own: no size, and nothing else, has to do with it."""
     rng = np.random.default_rng(seed)
     own = rng.normal(0.6, 0.2, vehicles)
