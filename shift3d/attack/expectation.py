@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -38,8 +40,8 @@ def descend_expectation(
         rng: of the placements and the further starts.
         placements: that the mean is taken over, the object's own among them; drawn for every step.
         starts: the baseline, then draws from the space, an evaluation each; the descent begins at the best of them.
-        family: kinds that the draws are taken from in turn, none twice before each was drawn once; the descent is over
-            the kind of the best. None: the draws are the search's own.
+        family: kinds that the draws are taken from in its order, and again from the first; the descent is over the kind
+            of the best. None: the draws are the search's own.
     Returns: the valid step with the lowest loss of all: of a draw its own, of a step of the descent the mean.
     Source: expectation over transformation (Athalye et al. 2018) with Adam (Kingma and Ba 2015); our choice.
     """
@@ -72,12 +74,11 @@ def _turn_to_best_start(
 ) -> Search:
     """Try the baseline and draws from the kinds in turn; go on with the kind of the best, whose search it returns."""
     trials.evaluate(search.start, False)
-    kinds, order = [(problem, search)], list[int]()
+    kinds, turn = [(problem, search)], itertools.cycle(family.order if family else ())
     for _ in range(starts - 1):
         within = trials.trace[-1].within_budget
         if within and family is not None:
-            order = order or rng.permutation(family.count).tolist()
-            problem, search = family.of(order.pop())
+            problem, search = family.of(next(turn))
             trials.turn_to(problem, search)
         variable = search.draw(rng, FREE_DISTANCE) if within else search.project(trials.back())
         kinds.append((problem, search))

@@ -38,7 +38,7 @@ def draw_best(
     for _ in range(evaluations):
         within = trials.trace[-1].within_budget
         if within and family is not None:
-            problem, search = family.of(int(rng.integers(family.count)))
+            problem, search = family.of(int(rng.integers(len(family.order))))
             trials.turn_to(problem, search)
         trials.evaluate(search.draw(rng, distance) if within else search.project(trials.back()), False)
     return trials.result(best_step(trials.trace))

@@ -56,10 +56,11 @@ class Search:
 class Family:
     """The kinds of vehicle that a search may turn to, at one place before one detector.
 
-    count: of kinds. of: the problem and the search of one, by its number; each has coordinates of its own.
+    order: the kinds' numbers, as starts take them in turn. of: the problem and the search of one, by its number; each
+    has coordinates of its own.
     """
 
-    count: int
+    order: tuple[int, ...]
     of: Callable[[int], tuple[AttackProblem, Search]]
 
 

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
 from torch import Tensor
 
 from shift3d.attack.expectation import descend_expectation
@@ -94,7 +95,11 @@ def _search(
 
 
 def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets) -> Family:
-    """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn."""
+    """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn.
+
+    Starts take the most unusual kind first: the one whose code lies farthest from the mean of all known codes. What is
+    rare is what a detector has learned least of. Source: our choice.
+    """
     budget = spec.attack.naturalness
     names = assets.vehicles.kinds()
     if budget:
@@ -113,7 +118,9 @@ def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTas
         here, others = placed(spec, problem), [(moved, placed(moved, own)) for moved, own in elsewhere]
         return here, _search(spec, here, others, assets, vehicle)
 
-    return Family(len(names), kind)
+    codes = np.stack([assets.vehicles.vehicle(name).latent_code for name in names]).astype(np.float64)
+    unusual = np.linalg.norm(codes - assets.vehicles.codes().mean(axis=0, dtype=np.float64), axis=1)
+    return Family(tuple(np.argsort(-unusual, kind="stable").tolist()), kind)
 
 
 def _budget(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> Callable[[Tensor], bool] | None:

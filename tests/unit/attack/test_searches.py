@@ -202,7 +202,7 @@ def two_kinds(problem: AttackProblem) -> Family:
     """The problem's own vehicle, and one whose code is another."""
     other = replace(problem, code0=problem.code0 + 0.05, vehicle=replace(FRAME))
     kinds = [(problem, shape_search(problem, 0.0)), (other, shape_search(other, 0.0))]
-    return Family(2, lambda kind: kinds[kind])
+    return Family((1, 0), lambda kind: kinds[kind])
 
 
 def test_a_search_over_kinds_goes_on_with_the_kind_of_its_best_start(problem: AttackProblem) -> None:
