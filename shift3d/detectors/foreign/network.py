@@ -223,7 +223,7 @@ class ForeignNet(PillarBackboneNet):
     def _before_tower(self, low: int, high: int, first: int, last: int) -> tuple[int, int]:
         """The stretch of an axis, within [first, last), whose features the tower reads for [low, high)."""
         reach = self.tower.reach * self.spec.out_stride if self.tower is not None else 0
-        stride = self.spec.total_strides[-1]
+        stride = self.spec.coarsest_stride
         return max(first, (low - reach) // stride * stride), min(last, -(-(high + reach) // stride) * stride)
 
     def features(
