@@ -107,7 +107,8 @@ class DecoderRun(ABC):
 def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -> None:
     """All steps that are left of a run, or of the one in the checkpoint, which is replaced every so many steps.
 
-    Raises InputError: the checkpoint is of another recipe; KeyboardInterrupt when asked to stop, all being written.
+    Raises InputError: the checkpoint is of another recipe, or the loss is no number any more; KeyboardInterrupt when
+    asked to stop, all being written.
     """
     state = read_checkpoint(file)
     if state is not None:
@@ -118,6 +119,9 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
     with stop_on_signal() as stop, bar:
         while run.step < steps:
             run.recent.append(run.advance())
+            if not math.isfinite(run.recent[-1]):
+                remedy = "Give another out=; of meshes, leave out those that are damaged"
+                raise InputError(f"the loss of step {run.step} is not finite", str(file), remedy)
             bar.update()
             if run.step % CURVE_STEPS == 0:
                 run.losses.append(float(np.mean(run.recent)))

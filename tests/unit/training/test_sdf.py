@@ -63,6 +63,13 @@ def test_loss_falls(shapes: Path) -> None:
     assert sum(losses[-10:]) < 0.7 * sum(losses[:10])
 
 
+def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path, shapes: Path) -> None:
+    samples = shape_samples(TINY.shapes, TINY.samples_a_shape, TINY.seed, shapes, 1)
+    samples.distances[1] = float("nan")  # as of a damaged mesh
+    with pytest.raises(InputError, match=r"loss of step 1 is not finite"):
+        sdf.train_sdf(tmp_path, TINY, samples=samples)
+
+
 def test_folder_of_another_recipe_is_refused(tmp_path: Path, shapes: Path) -> None:
     out = prepared(tmp_path / "out", shapes)
     sdf.train_sdf(out, dataclasses.replace(TINY, steps=1))
