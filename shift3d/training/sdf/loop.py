@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from abc import ABC, abstractmethod
@@ -132,7 +131,6 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
             if run.step % every == 0 or run.step == steps or stop.is_set():
                 write_checkpoint(file, run.state())
                 loss = run.losses[-1] if run.losses else None
-                (file.parent / "progress.json").write_text(json.dumps({"step": run.step, "of": steps, "loss": loss}))
                 tqdm.write(f"step {run.step} of {steps}  loss {loss}  ({file.name} written)")
                 if report is not None and curve:
                     report(curve)
