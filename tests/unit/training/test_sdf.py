@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from pathlib import Path
 
@@ -84,6 +85,11 @@ def test_checkpoint_that_is_no_checkpoint_names_the_file(tmp_path: Path) -> None
         read_checkpoint(tmp_path / "bad.pt")
     write_checkpoint(tmp_path / "good.pt", {"step": 3, "x": torch.ones(2)})
     assert not list(tmp_path.glob(".*"))
+    content = (tmp_path / "good.pt").read_bytes()
+    for place in range(content.index(b"step") - 20, content.index(b"step") + 60):
+        (tmp_path / "bad.pt").write_bytes(content[:place] + b"\xff" + content[place + 1 :])
+        with contextlib.suppress(InputError):  # and nothing else
+            read_checkpoint(tmp_path / "bad.pt")
     again = read_checkpoint(tmp_path / "good.pt")
     assert again is not None
     assert again["step"] == 3
