@@ -16,6 +16,7 @@ from foreign_configs import (
     mm_pointpillars,
     pcd_centerpoint_nuscenes,
     pcd_centerpoint_waymo,
+    pcd_coarse,
     pcd_pointpillar,
 )
 from foreign_sources import Anchors, Centres, Pillars, Source
@@ -69,9 +70,9 @@ class Case:
         return result
 
 
-def _pcd_anchors(aligned: bool) -> Anchors:
-    step = 0.8 if aligned else 12.8 / 15
-    first = 0.4 if aligned else 0.0
+def _pcd_anchors(aligned: bool, cell_m: float = 0.8) -> Anchors:
+    step = cell_m if aligned else 12.8 / 15
+    first = cell_m / 2 if aligned else 0.0
     starts = [(first, -6.4 + first, bottom) for bottom in (-1.78, -0.6, -0.6)]
     return Anchors(3, 0, 0.78539, (CAR, WALKER, CYCLIST), starts, (step, step))
 
@@ -92,6 +93,11 @@ CASES = {
         Case(
             "openpcdet-aligned", lambda folder: pcd_pointpillar(folder, aligned=True),
             lambda: Source(True, KITTI, (2, 2, 2), (1, 2, 4), _pcd_anchors(True)), 1.73, False, "model_state",
+        ),
+        Case(
+            "openpcdet-coarse", pcd_coarse,
+            lambda: Source(True, KITTI, (1, 1, 2), (0.25, 0.25, 0.5), _pcd_anchors(True, 1.6)), 1.73, False,
+            "model_state",
         ),
         Case(
             "openpcdet-centerpoint", pcd_centerpoint_waymo,

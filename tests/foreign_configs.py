@@ -308,6 +308,13 @@ def pcd_pointpillar(folder: Path, aligned: bool = False) -> Path:
     return _pcd(folder, "KittiDataset", features, "cfgs/dataset_configs/kitti_dataset.yaml", text)
 
 
+def pcd_coarse(folder: Path) -> Path:
+    """The same with a map of anchors that is coarser than the backbone's coarsest."""
+    path = pcd_pointpillar(folder, aligned=True)
+    text = path.read_text().replace("[2, 2, 2]", "[1, 1, 2]").replace("[1, 2, 4]", "[0.25, 0.25, 0.5]")
+    return _written(path, text.replace("'feature_map_stride': 2", "'feature_map_stride': 4"))
+
+
 def pcd_centerpoint_waymo(folder: Path) -> Path:
     """OpenPCDet's CenterPoint on pillars for Waymo: two pillar layers, one head of three classes, biases."""
     base = "cfgs/dataset_configs/waymo_dataset.yaml"

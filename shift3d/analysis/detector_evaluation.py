@@ -30,15 +30,18 @@ from shift3d.errors import InputError
 from shift3d.evaluation.breakdown import breakdown
 from shift3d.evaluation.metrics import RANGES_M, Metric, evaluate
 from shift3d.progress_bar import progress_bar
-from shift3d.scenes.sets import SceneSet, StreetScenes
+from shift3d.scenes.sets import SceneSet
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.settings.schema.scenes import KittiConfig, StreetConfig, scene_set
 from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
+from shift3d.store.user_cache import program_digest
 from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, answers_of, detect_scenes
 from shift3d.training.provenance import refuse_tuned_scenes
 from shift3d.wording import counted
+
+_CODE = ("scenes", "vehicles", "sdf", "geometry", "seeding.py", "detectors", "training/detector/detect_scenes.py")
 
 
 def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
@@ -97,7 +100,7 @@ def evaluate_detector(
     ``out`` gets spec.json, detections.parquet, truth.parquet, vehicles.parquet, metrics.parquet, breakdown.parquet,
     curves.parquet, curves.png, the same bytes whatever the number of workers, and timings.parquet, which differs from
     run to run. ``out``/scenes holds the answer for each scene: the same call again detects only where one is missing,
-    or a frame's files have changed since.
+    or a frame's files or the program have changed since.
 
     Args:
         name: a detector, with its shipped weights or those of the file ``weights``, which may be an ONNX file.
@@ -132,17 +135,16 @@ def evaluate_detector(
         refuse_tuned_scenes(file, [(opened_scenes.dataset, scene, "") for scene in scene_names])
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, open_scenes, workers, score_threshold)
-    found = answers_of(scene_names, out / "scenes", detect, partial(_state_of_files, opened_scenes))
+    found = answers_of(scene_names, out / "scenes", detect, partial(_state, opened_scenes))
     label = f"{name}, {workers} at a time"
     answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
     return write_evaluation(name, dataset_of(scenes), answers, out)
 
 
-def _state_of_files(scenes: SceneSet, name: str) -> str:
-    """A digest of the state of a recorded frame's files; empty for a street, whose name says everything."""
-    if isinstance(scenes, StreetScenes):
-        return ""
-    return hashlib.blake2b(json.dumps(scenes.source(name)).encode(), digest_size=16).hexdigest()
+def _state(scenes: SceneSet, name: str) -> str:
+    """A digest of what makes a scene and its answer: a recorded frame's files, and the program."""
+    text = json.dumps([program_digest(*_CODE), *scenes.source(name)])
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out: Path) -> str:

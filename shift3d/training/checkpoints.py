@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -29,7 +28,7 @@ def read_checkpoint(path: Path) -> dict[str, Any] | None:
         return None
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except (UnpicklingError, RuntimeError, EOFError) as error:
+    except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
         raise InputError("not a readable checkpoint", where=str(path), remedy="delete it to start over") from error
     if not isinstance(state, dict):
         raise InputError("not a checkpoint of a training", where=str(path), remedy="delete it to start over")

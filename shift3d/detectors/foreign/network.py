@@ -20,7 +20,7 @@ from shift3d.detectors.models.centre_heads import decode_centres
 from shift3d.detectors.models.folding import folded_linear, folded_sequence
 from shift3d.detectors.models.network import BoxHeads, Precision, arithmetic, map_rows
 from shift3d.detectors.models.pillar_detectors import PillarBackboneNet, core_in_window, to_dense
-from shift3d.detectors.models.pillar_net import decorate
+from shift3d.detectors.models.pillar_net import decorate, segment_max
 
 
 def foreign_inputs(points: Tensor, pillars: Pillars, grid: Grid, inputs: PillarInputs) -> Tensor:
@@ -59,7 +59,7 @@ class ForeignEncoder(nn.Module):
     def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
         """(K, columns), sorted by pillar -> (P, channels). Differentiable w.r.t. decorated.
 
-        Of points that tie for a maximum, the first one in order of coordinates gets the gradient.
+        Of points that tie for a maximum, each gets an equal share of the gradient.
         """
         features, owner, counts = decorated, pillars.pillar, pillars.counts
         if self.slots is not None:
@@ -70,7 +70,7 @@ class ForeignEncoder(nn.Module):
             owner, counts = owner.index_select(0, order), counts + (counts < self.slots)
         for index, (linear, norm) in enumerate(zip(self.linears, self.norms, strict=True)):
             features = torch.relu(norm(linear(features)))
-            highest = _highest(features, owner, counts)
+            highest = segment_max(features, owner, counts)
             if index + 1 < len(self.linears):
                 features = torch.cat((features, highest.index_select(0, owner)), dim=1)
         return highest
@@ -81,21 +81,6 @@ class ForeignEncoder(nn.Module):
             assert isinstance(linear, nn.Linear)
             self.linears[index], self.norms[index] = folded_linear(linear, norm), nn.Identity()
         return self
-
-
-def _highest(features: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
-    """(P, C) maximum over each pillar's rows (K, C).
-
-    Rows tie as soon as the layers before left nothing of them but their pillar's maximum. torch.segment_reduce shares
-    a gradient between them only where it is positive (2.13: a negative one is given to each in full).
-    """
-    with torch.no_grad():
-        highest = torch.segment_reduce(features, "max", lengths=counts, axis=0, unsafe=True)
-        rows = torch.arange(len(features))[:, None].expand_as(features)
-        rows = torch.where(features == highest.index_select(0, owner), rows, len(features))
-        first = rows.new_full(highest.shape, len(features) - 1)
-        first = first.scatter_reduce(0, owner[:, None].expand_as(features), rows, "amin")
-    return features.gather(0, first)
 
 
 class ForeignAnchorHeads(AnchorConvolutions):
@@ -223,7 +208,7 @@ class ForeignNet(PillarBackboneNet):
     def _before_tower(self, low: int, high: int, first: int, last: int) -> tuple[int, int]:
         """The stretch of an axis, within [first, last), whose features the tower reads for [low, high)."""
         reach = self.tower.reach * self.spec.out_stride if self.tower is not None else 0
-        stride = self.spec.total_strides[-1]
+        stride = self.spec.coarsest_stride
         return max(first, (low - reach) // stride * stride), min(last, -(-(high + reach) // stride) * stride)
 
     def features(

@@ -98,10 +98,10 @@ def grid_of(bounds: Sequence[float], voxel: Sequence[float], spec: BackboneSpec,
         section.refuse(f"voxels {list(voxel)} do not fill the range {list(bounds)}")
     if round(counts[2]) != 1 or abs(voxel[0] - voxel[1]) > 1e-9:
         section.refuse(f"voxels {list(voxel)} are no square pillars of the range's whole height")
-    deepest = spec.total_strides[-1]
-    if any(round(count) % max(deepest, spec.out_stride) for count in counts[:2]):
+    stride = spec.coarsest_stride
+    if any(round(count) % stride for count in counts[:2]):
         section.refuse(
-            f"{round(counts[0])} x {round(counts[1])} pillars are no multiple of the backbone's stride {deepest}"
+            f"{round(counts[0])} x {round(counts[1])} pillars are no multiple of the backbone's stride {stride}"
         )
     return Grid(bounds[0], bounds[1], bounds[2], bounds[5], voxel[0], round(counts[0]), round(counts[1]))
 

@@ -29,6 +29,11 @@ class BackboneSpec:
         return tuple(result)
 
     @property
+    def coarsest_stride(self) -> int:
+        """Of the coarsest map, a block's or the output: what windows are aligned to."""
+        return max(self.total_strides[-1], self.out_stride)
+
+    @property
     def margin_cells(self) -> int:
         """How far, in input cells, an output cell's receptive field reaches to either side (the larger one).
 

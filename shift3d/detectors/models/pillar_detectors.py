@@ -95,13 +95,13 @@ class PillarBackboneNet(DetectorNet):
         return dense.view(len(clouds), height, width, self.channels).permute(0, 3, 1, 2)
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
-        """Aligned to the backbone's total stride, inside the grid."""
-        stride = self.spec.total_strides[-1]
+        """Aligned to the backbone's coarsest stride, inside the grid."""
+        stride = self.spec.coarsest_stride
         return max(0, low) // stride * stride, min(cells, -(-min(cells, high) // stride) * stride)
 
     def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
         """The core and the receptive field around it, aligned to the stride."""
-        stride, margin = self.spec.total_strides[-1], self.spec.margin_cells
+        stride, margin = self.spec.coarsest_stride, self.spec.margin_cells
         low = max(0, (core_low - margin) // stride * stride)
         return low, min(cells, -(-(core_high + margin) // stride) * stride)
 

@@ -7,10 +7,11 @@ Source: PointPillars (Lang et al. 2019), section 2.1; the dynamic voxel feature 
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from shift3d.detectors.grid import Grid, Pillars
 from shift3d.detectors.models.folding import folded_linear
@@ -25,6 +26,34 @@ def segment_mean(values: Tensor, pillars: Pillars) -> Tensor:
     """Mean of each pillar's rows: (K, C) -> (P, C), summed in sorted order. Differentiable w.r.t. values."""
     total = torch.segment_reduce(values, "sum", lengths=pillars.counts, axis=0, unsafe=True)
     return total / pillars.counts.to(values.dtype).unsqueeze(1)
+
+
+def segment_max(rows: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
+    """(P, C) maximum over each pillar's rows (K, C). Differentiable once w.r.t. rows; those that tie share alike.
+
+    owner: (K,) int64, rising, the pillar of each row; counts: (P,) int64, rows of each.
+    """
+    result: Tensor = _SegmentMax.apply(rows, owner, counts)  # type: ignore[no-untyped-call]
+    return result
+
+
+class _SegmentMax(torch.autograd.Function):
+    """torch.segment_reduce shares a gradient between ties only where it is positive (2.13: a negative one is given to
+    each in full). Ties are no rarity: what stands before both returns of a beam moves them to one place."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
+        highest = torch.segment_reduce(rows, "max", lengths=counts, axis=0, unsafe=True)
+        ctx.save_for_backward(rows, highest, owner, counts)
+        return highest
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        rows, highest, owner, counts = ctx.saved_tensors
+        reached = rows == highest.index_select(0, owner)
+        ties = torch.segment_reduce(reached.to(grad.dtype), "sum", lengths=counts, axis=0, unsafe=True)
+        return torch.where(reached, (grad / ties).index_select(0, owner), 0.0), None, None
 
 
 def decorate(points: Tensor, pillars: Pillars, grid: Grid) -> Tensor:
@@ -60,7 +89,7 @@ class PillarNet(nn.Module):
         Of points that tie for a maximum, each gets an equal share of the gradient.
         """
         per_point = self.norm(self.linear(decorated * self.feature_scale))
-        return torch.relu(_highest(per_point, pillars))
+        return torch.relu(segment_max(per_point, pillars.pillar, pillars.counts))
 
     def folded(self) -> Self:
         """The same function in evaluation mode, norm and input gains folded into the layer, in place."""
@@ -103,11 +132,8 @@ class VoxelEncoder(nn.Module):
         place tie up to a rounding that depends on their rows: what they get together is fixed, the shares are not.
         """
         scale: Tensor = self.feature_scale  # type: ignore[assignment]
+        owner, counts = pillars.pillar, pillars.counts
         per_point = torch.relu(self.first_norm(self.first(decorated * scale)))
-        joined = torch.cat((per_point, _highest(per_point, pillars).index_select(0, pillars.pillar)), dim=1)
+        joined = torch.cat((per_point, segment_max(per_point, owner, counts).index_select(0, owner)), dim=1)
         # ReLU commutes with the maximum, and there are fewer pillars than points.
-        return torch.relu(_highest(self.second_norm(self.second(joined)), pillars))
-
-
-def _highest(per_point: Tensor, pillars: Pillars) -> Tensor:
-    return torch.segment_reduce(per_point, "max", lengths=pillars.counts, axis=0, unsafe=True)
+        return torch.relu(segment_max(self.second_norm(self.second(joined)), owner, counts))

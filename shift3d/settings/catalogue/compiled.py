@@ -70,7 +70,8 @@ def compiled_network(name: str, weights: str | None) -> tuple[bytes, float]:
     from shift3d.scenes.sets import StreetScenes
 
     original = load_detector(name, weights)
-    content = onnx_bytes(load_network(Path(weights or WEIGHTS_FOLDER / f"{name}.safetensors"), name))
+    file = Path(weights or WEIGHTS_FOLDER / f"{name}.safetensors").expanduser()
+    content = onnx_bytes(load_network(file, name))
     streets, where = StreetScenes("mixed", count=2), f"{name} as ONNX"
     compiled = onnx_detector(content, where)
     worst = require_agreement(original, compiled, _clouds(streets, streets.names()), where)

@@ -125,7 +125,7 @@ def answers_of(
     """The answer of every scene, in order: from ``folder`` where it lies there, else detected and written there.
 
     detect: names of the scenes that are missing to their answers, in that order. state_of: of a scene's name, the state
-    of its files; what lies there of another state is detected again. Empty: the name says everything.
+    of what its answer is made of; what lies there of another state is detected again. Empty: the name says everything.
 
     Raises InputError: a file in ``folder`` is torn, or whatever ``detect`` raises.
     """
@@ -143,7 +143,7 @@ def answers_of(
 
 
 def _is_kept(file: Path, state: str) -> bool:
-    """Whether an answer lies there, of this state of its scene's files."""
+    """Whether an answer lies there, of this state."""
     if not file.exists() or not state:
         return file.exists()
     with _readable(file) as data:
@@ -155,7 +155,7 @@ def _file(folder: Path, name: str) -> Path:
 
 
 def write_answer(file: Path, answer: Answer, state: str = "") -> None:
-    """Write one answer atomically. state: of the scene's files, see `answers_of`. Raises InputError on a full disk."""
+    """Write one answer atomically. state: see `answers_of`. Raises InputError on a full disk."""
     truth, found = answer.frame.truth, answer.frame.found
     write_arrays(
         file,

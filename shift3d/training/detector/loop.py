@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
@@ -55,7 +56,7 @@ CURVE_STEPS = 25
 
 
 class _Run:
-    """The state of one training: network, optimiser, steps done, curves and seconds."""
+    """The state of one training: network, optimiser, steps done, curves, steps since their last point, and seconds."""
 
     def __init__(
         self, file: Path, recipe: Recipe, compute: Compute, data: str, start: Mapping[str, Any] | None
@@ -72,6 +73,7 @@ class _Run:
         self.optimiser = torch.optim.AdamW(self.net.parameters(), lr=recipe.peak_rate, weight_decay=recipe.weight_decay)
         self.done = 0
         self.curve: list[CurvePoint] = []
+        self.recent: list[dict[str, float]] = []
         self.reported = 0
         self.steps_by_device: dict[str, int] = {}
         # As if it had begun without an interruption.
@@ -90,6 +92,7 @@ class _Run:
         self.optimiser.load_state_dict(state["optimiser"])
         self.done = int(state["steps_done"])
         self.curve = [(int(step), values) for step, values in state.get("curve", [])]
+        self.recent = list(state.get("recent", []))
         self.reported = len(self.curve)
         self.steps_by_device = dict(state.get("steps_by_device", {}))
         return float(state.get("seconds", 0.0))
@@ -103,6 +106,7 @@ class _Run:
             "net": self.net.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "curve": [[step, dict(values)] for step, values in self.curve],
+            "recent": self.recent,
             "seconds": time.monotonic() - self.began_s,
             "steps_by_device": self.steps_by_device,
         }
@@ -141,8 +145,8 @@ def train_on_scenes(
         draw: how a step's crops are chosen. keep_statistics: batch norms compute as at inference from the first step
             on, by the statistics of `start`.
     Returns: the network on its device, in evaluation mode.
-    Raises: InputError if the recipe cannot be trained by, or the checkpoint belongs to another recipe or other scenes;
-        KeyboardInterrupt when asked to stop, the checkpoint being written.
+    Raises: InputError if the recipe cannot be trained by, the checkpoint belongs to another recipe or other scenes, or
+        the loss is no number any more; KeyboardInterrupt when asked to stop, the checkpoint being written.
     """
     recipe.validate()
     compute = compute or choose_compute("cpu")
@@ -151,7 +155,6 @@ def train_on_scenes(
     run = _Run(out_dir / CHECKPOINT, recipe, compute, data, start)
     run.net.train(not keep_statistics)
     end = recipe.all_steps if stop_after is None else min(recipe.all_steps, stop_after)
-    recent: list[dict[str, float]] = []
     pasting = recipe.augmentation.pasted > 0 and end > 0
     database = VehicleDatabase.of(mesh_scenes, recipe.min_points, compute.scene_workers) if pasting else None
     crops = draw(recipe, run.net.grid, mesh_scenes, inserted_scenes, database)
@@ -161,13 +164,13 @@ def train_on_scenes(
         for step, examples in batches(maker, range(run.done, end), compute.crop_workers):
             if step >= recipe.steps:
                 _settle(run, crops.of_statistics())
-            recent.append(_train_step(run, step, examples))
+            run.recent.append(_train_step(run, step, examples))
             run.done = step + 1
             run.steps_by_device[compute.name] = run.steps_by_device.get(compute.name, 0) + 1
             bar.update()
             if run.done % CURVE_STEPS == 0 or run.done == end:
-                run.curve.append((run.done, mean_values(recent)))
-                recent = []
+                run.curve.append((run.done, mean_values(run.recent)))
+                run.recent = []
             if run.done % checkpoint_every == 0 or run.done == end or stop.is_set():
                 run.save(report)
                 last = run.curve[-1][1] if run.curve else {}
@@ -191,7 +194,7 @@ def _settle(run: _Run, crops: Iterator[Crop]) -> None:
 
 
 def _train_step(run: _Run, step: int, examples: list[Example]) -> dict[str, float]:
-    """One optimiser step; returns the weighted parts of the loss and the learning rate."""
+    """One optimiser step; returns the weighted parts of the loss and the learning rate. Raises InputError: a NaN."""
     recipe, device = run.recipe, run.compute.device
     rate, momentum = one_cycle(step, recipe)
     for group in run.optimiser.param_groups:
@@ -201,6 +204,9 @@ def _train_step(run: _Run, step: int, examples: list[Example]) -> dict[str, floa
     with run.compute.autocast(recipe.bfloat16):
         features = run.net.features(clouds, windows, pillars)
         loss, parts = batch_loss(run.objective, run.net.heads, features, [own.targets for own in examples])
+    if not all(map(math.isfinite, parts.values())):  # from here on every weight would be NaN
+        remedy = "Give a smaller recipe.peak_rate=, and another out="
+        raise InputError(f"the loss of step {step + 1} is not finite", str(run.file), remedy)
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), recipe.clip_norm)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.weights import load_weights
+from shift3d.detectors.models.weights import load_weights, wrong_values
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.build.fleet import fleet_of
@@ -54,8 +54,8 @@ def train_detector(
             bit. report: see :func:`train_on_scenes`.
     Returns: the network of the exported file, on the CPU, in evaluation mode.
     Raises: InputError when the recipe cannot be trained by, weights to start from are missing, the scenes hold no
-        vehicle, or the checkpoint is of another recipe, other scenes or another start; KeyboardInterrupt when asked to
-        stop.
+        vehicle, the checkpoint is of another recipe, other scenes or another start, or the training diverges: then
+        weights_file stays as it was; KeyboardInterrupt when asked to stop.
     """
     compute = compute or choose_compute("cpu")
     recipe.validate()
@@ -119,11 +119,16 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
 
     halved: matrices and kernels are stored in float16, to 2^-11 of each value (our choice: half the bytes). Biases and
     batch statistics stay float32: variances go beyond what float16 holds.
+
+    Raises: InputError where `load_weights` would refuse them, or the disk is full; the file stays as it was.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
     if halved:
         large = {name for name, tensor in tensors.items() if tensor.is_floating_point() and tensor.dim() >= 2}
         tensors |= {name: tensors[name].half() for name in large}
+    for name, tensor in tensors.items():
+        if wrong := wrong_values(name, tensor, tensor):
+            raise InputError(f"tensor {name} {wrong}", str(file), "Train with a smaller recipe.peak_rate=")
     write_safetensors(file, tensors, {"recipe": repr(recipe)})
 
 

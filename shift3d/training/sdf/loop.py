@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from abc import ABC, abstractmethod
@@ -107,7 +106,8 @@ class DecoderRun(ABC):
 def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -> None:
     """All steps that are left of a run, or of the one in the checkpoint, which is replaced every so many steps.
 
-    Raises InputError: the checkpoint is of another recipe; KeyboardInterrupt when asked to stop, all being written.
+    Raises InputError: the checkpoint is of another recipe, or the loss is no number any more; KeyboardInterrupt when
+    asked to stop, all being written.
     """
     state = read_checkpoint(file)
     if state is not None:
@@ -118,6 +118,9 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
     with stop_on_signal() as stop, bar:
         while run.step < steps:
             run.recent.append(run.advance())
+            if not math.isfinite(run.recent[-1]):
+                remedy = "Give another out=; of meshes, leave out those that are damaged"
+                raise InputError(f"the loss of step {run.step} is not finite", str(file), remedy)
             bar.update()
             if run.step % CURVE_STEPS == 0:
                 run.losses.append(float(np.mean(run.recent)))
@@ -128,7 +131,6 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
             if run.step % every == 0 or run.step == steps or stop.is_set():
                 write_checkpoint(file, run.state())
                 loss = run.losses[-1] if run.losses else None
-                (file.parent / "progress.json").write_text(json.dumps({"step": run.step, "of": steps, "loss": loss}))
                 tqdm.write(f"step {run.step} of {steps}  loss {loss}  ({file.name} written)")
                 if report is not None and curve:
                     report(curve)

@@ -89,7 +89,7 @@ def train_sdf(
     """Train, or go on with a training, and leave `sdf.pt` (decoder, codes, recipe) in `out_dir`.
 
     Args:
-        out_dir: holds the sampled shapes, the checkpoint and `progress.json`; the same folder and recipe resume.
+        out_dir: holds the sampled shapes and the checkpoint; the same folder and recipe resume.
         recipe: default the shipped one.
         checkpoint_every: steps between checkpoints; no influence on the result. SIGINT and SIGTERM also write one.
         samples: of the shapes to train on; default the family's. The recipe's `shapes` and `source` are then theirs.

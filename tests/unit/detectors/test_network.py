@@ -119,11 +119,14 @@ def test_folding_changes_nothing(name: str) -> None:
     assert torch.allclose(logits[0], folded.logits, atol=1e-10, rtol=0)
 
 
-def test_gradient_equals_central_differences_in_float64(name: str) -> None:
+@pytest.mark.parametrize("returns", [1, 2], ids=["one return a beam", "two in the same place"])
+def test_gradient_equals_central_differences_in_float64(name: str, returns: int) -> None:
+    """An object in front of both returns of a beam moves them to one place."""
     detector = TrainedDetector(random_net(name), "float64")
     window = detector.window_for((3.0, 2.0), 2.0)
     generator = torch.Generator().manual_seed(5)
     cloud = torch.rand(400, 3, generator=generator, dtype=torch.float64) * torch.tensor([6.0, 6.0, 1.5])
+    cloud = cloud.repeat(returns, 1)
 
     def loss(points: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.softplus(detector.proposals(points, window).logits).sum()
@@ -134,7 +137,8 @@ def test_gradient_equals_central_differences_in_float64(name: str) -> None:
     # A step so small that no point leaves its pillar and no maximum or ReLU changes hands along it.
     step = 1e-7
     for trial in range(5):
-        direction = torch.randn(cloud.shape, generator=torch.Generator().manual_seed(trial), dtype=torch.float64)
+        direction = torch.randn(400, 3, generator=torch.Generator().manual_seed(trial), dtype=torch.float64)
+        direction = direction.repeat(returns, 1)
         difference = (loss(cloud + step * direction) - loss(cloud - step * direction)) / (2 * step)
         exact = (leaf.grad * direction).sum()
         assert abs(float(exact)) > 1e-2

@@ -22,6 +22,8 @@ from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.settings.schema.scenes import KittiConfig
+from shift3d.store.arrays import write_arrays
+from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.training.detector.detect_scenes import detect_frame, detect_scenes
 from shift3d.training.detector_scenes import from_scene, network_points
 
@@ -144,6 +146,32 @@ def test_training_scenes_are_in_the_network_frame() -> None:
     assert len(made.points) == 299 and made.boxes.shape == (3, 7)
     assert np.allclose(made.boxes, _network(scene.labels.boxes[[0, 1, 3]]), atol=1e-5)
     assert np.array_equal(network_points(scene)[1:], made.points)
+
+
+@pytest.mark.parametrize("part", ["scenes/kitti/scenes.py", "detectors/nms.py"])
+def test_what_another_program_detected_is_detected_again(
+    part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detector_evaluation, "detector_of", lambda *_: open_point_detector())
+    _kitti(tmp_path / "frames")
+    frames = KittiConfig(kind="kitti", root=str(tmp_path / "frames"), count=None, names=None)
+
+    def found() -> int:
+        detector_evaluation.evaluate_detector("pointpillars", frames, tmp_path / "out")
+        return int(pq.read_table(tmp_path / "out" / "detections.parquet").num_rows)
+
+    before = found()
+    for file in (tmp_path / "out" / "scenes").iterdir():  # as a program that found nothing would have left it
+        with np.load(file) as data:
+            kept = dict(data)
+        nothing = {name: kept[name][:0] for name in ("boxes", "scores", "labelled", "image_height_px")}
+        write_arrays(file, **{**kept, **nothing})
+    assert before > 0 and found() == 0
+    read = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(f"/{part}"))
+    monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
+    monkeypatch.setattr(detector_evaluation, "program_digest", program_digest.__wrapped__, raising=False)
+    assert found() == before
 
 
 def test_a_frame_whose_labels_changed_is_evaluated_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

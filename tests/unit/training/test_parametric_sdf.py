@@ -153,7 +153,7 @@ def test_vehicles_without_parameters_or_with_an_empty_range_are_refused(tmp_path
         read_parameters(write(tmp_path / "short.safetensors", box(), ["a", "b", "c"]), "suv")
 
 
-@pytest.mark.parametrize("word", ["unit=m", "scenes=kitti"])
+@pytest.mark.parametrize("word", ["unit=m", "scenes=kitti", "finetune=OUT", "recipe.pasted=0"])
 def test_words_for_files_and_for_detectors_are_refused(word: str) -> None:
     words = ["model=sdf", "vehicles=wide", word]
     with pytest.raises(InputError, match=word.partition("=")[0]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from pathlib import Path
 
@@ -63,6 +64,13 @@ def test_loss_falls(shapes: Path) -> None:
     assert sum(losses[-10:]) < 0.7 * sum(losses[:10])
 
 
+def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path, shapes: Path) -> None:
+    samples = shape_samples(TINY.shapes, TINY.samples_a_shape, TINY.seed, shapes, 1)
+    samples.distances[1] = float("nan")  # as of a damaged mesh
+    with pytest.raises(InputError, match=r"loss of step 1 is not finite"):
+        sdf.train_sdf(tmp_path, TINY, samples=samples)
+
+
 def test_folder_of_another_recipe_is_refused(tmp_path: Path, shapes: Path) -> None:
     out = prepared(tmp_path / "out", shapes)
     sdf.train_sdf(out, dataclasses.replace(TINY, steps=1))
@@ -77,6 +85,11 @@ def test_checkpoint_that_is_no_checkpoint_names_the_file(tmp_path: Path) -> None
         read_checkpoint(tmp_path / "bad.pt")
     write_checkpoint(tmp_path / "good.pt", {"step": 3, "x": torch.ones(2)})
     assert not list(tmp_path.glob(".*"))
+    content = (tmp_path / "good.pt").read_bytes()
+    for place in range(content.index(b"step") - 20, content.index(b"step") + 60):
+        (tmp_path / "bad.pt").write_bytes(content[:place] + b"\xff" + content[place + 1 :])
+        with contextlib.suppress(InputError):  # and nothing else
+            read_checkpoint(tmp_path / "bad.pt")
     again = read_checkpoint(tmp_path / "good.pt")
     assert again is not None
     assert again["step"] == 3

@@ -89,9 +89,10 @@ def _kitti(root: Path) -> Path:
 def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_training(
     recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detector_loop, "CURVE_STEPS", 1)
+    monkeypatch.setattr(detector_loop, "CURVE_STEPS", 2)
     files = cache_scenes(tmp_path / "scenes", ["0", "1"], _scene)
-    straight = train_on_scenes(tmp_path / "straight", recipe, files)
+    whole: list[CurvePoint] = []
+    straight = train_on_scenes(tmp_path / "straight", recipe, files, report=whole.extend)
     curve: list[CurvePoint] = []
     advance = detector_loop._train_step
 
@@ -110,8 +111,19 @@ def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_tra
     resumed = train_on_scenes(tmp_path / "cut", recipe, files, report=curve.extend)
     for name, tensor in straight.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
-    assert [step for step, _ in curve] == list(range(1, recipe.all_steps + 1))
+    assert curve == whole and [step for step, _ in curve] == [2, 4, 6, 8, 9], "each the mean of the steps since"
     assert {"class", "box", "positives", "learning_rate"} <= curve[-1][1].keys()
+
+
+@pytest.mark.parametrize("rate", [1e8, 1e3], ids=["the loss is NaN", "weights are beyond any network's"])
+def test_a_training_that_diverges_ends_there_and_leaves_the_weights_that_are_there(rate: float, tmp_path: Path) -> None:
+    weights = tmp_path / "weights.safetensors"
+    weights.write_bytes(b"those before")
+    recipe = dataclasses.replace(TINY, peak_rate=rate)
+    with pytest.raises(InputError, match="not finite") as caught:
+        train_detector(tmp_path / "out", recipe, weights, KittiScenes(_kitti(tmp_path)))
+    assert "smaller recipe.peak_rate=" in caught.value.remedy
+    assert weights.read_bytes() == b"those before"
 
 
 def test_a_folder_of_other_scenes_is_refused(tmp_path: Path) -> None:

@@ -13,8 +13,9 @@ _KEYS = ("detector", "weights", "to")
 
 _DESCRIPTION = """\
 Writes a detector of shift3d as an ONNX file: points (N, 3), any N, to boxes (A, 7) and scores (A,), one a proposal,
-before suppression (docs/guides/detectors.md). Compares the scores of both on a street first, and writes nothing where
-they differ by more than 1e-3. pointpillars and centerpoint can be compiled. Needs: pip install 'shift3d[onnx]'."""
+before suppression (docs/guides/detectors.md). Compares the scores of both on two streets first, and writes nothing
+where they differ by more than 1e-3. pointpillars and centerpoint can be compiled.
+Needs: pip install 'shift3d[onnx]'."""
 
 _EPILOG = """\
 examples:

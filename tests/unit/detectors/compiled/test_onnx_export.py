@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from random_networks import random_net, random_scene
 
 from shift3d.detectors.compiled.onnx_detector import OnnxDetector, onnx_detector
 from shift3d.detectors.compiled.onnx_export import onnx_bytes
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
+from shift3d.settings.catalogue.compiled import compiled_network
 
 NAMES = ("pointpillars", "centerpoint")
 
@@ -52,3 +56,10 @@ def test_the_file_says_nothing_of_the_machine(both: tuple[TrainedDetector, OnnxD
 def test_tokens_have_no_export() -> None:
     with pytest.raises(InputError, match=r"sst.* no ONNX export. Export pointpillars or centerpoint"):
         onnx_bytes(random_net("sst"))
+
+
+def test_weights_below_home_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "mine.safetensors").write_bytes((WEIGHTS_FOLDER / "sst_small.safetensors").read_bytes())
+    with pytest.raises(InputError, match="no ONNX export"):  # all that there is against them
+        compiled_network("sst_small", "~/mine.safetensors")
