@@ -86,6 +86,8 @@ def _run(arguments: argparse.Namespace) -> int:
     fields = [word for word in arguments.words if word.startswith(_FIELD)]
     values = key_values([word for word in arguments.words if word not in fields], _KEYS, ("model",), "train")
     if "vehicles" in values:
+        named = {word.partition("=")[0]: "" for word in fields}
+        refuse(named, named, "is for detectors", "train")
         return _train_on_meshes(values)
     if "method" in values and "finetune" not in values:
         raise InputError("method= says which objects of finetune=", where="train", remedy="Give finetune=OUT too")
@@ -186,7 +188,8 @@ def _train_on_meshes(values: dict[str, str]) -> int:
         what = f"vehicles= is for model=sdf, not model={values['model']}"
         raise InputError(what, where="train", remedy="Give model=sdf")
     wide = values["vehicles"] == "wide"
-    refuse(values, [key for key in _SCENE_KEYS if not (wide and key == "count")], "is for detectors", "train")
+    of_detectors = [key for key in (*_SCENE_KEYS, *_TUNE_KEYS) if not (wide and key == "count")]
+    refuse(values, of_detectors, "is for detectors", "train")
     built = "is for mesh files; the wide family is built in metres (a folder of that name: vehicles=./wide)"
     refuse(values, FRAME_KEYS if wide else (), built, "train")
     frame = None if wide else mesh_frame(values, "train")
