@@ -155,6 +155,6 @@ def test_vehicles_without_parameters_or_with_an_empty_range_are_refused(tmp_path
 
 @pytest.mark.parametrize("word", ["unit=m", "scenes=kitti", "finetune=OUT", "method=baseline", "recipe.seed=2"])
 def test_words_for_files_and_for_detectors_are_refused(word: str) -> None:
-    words = ["model=sdf", "vehicles=wide", "steps=0", word]  # steps=0: what is let through is refused, and trains nothing
+    words = ["model=sdf", "vehicles=wide", "steps=0", word]  # steps=0: nothing is trained
     with pytest.raises(InputError, match=word.partition("=")[0]):
         COMMAND.run(argparse.Namespace(words=words))
