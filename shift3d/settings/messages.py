@@ -44,7 +44,8 @@ def from_validation(error: ValidationError, where: str) -> InputError:
         remedy = f"See {shown(shipped('conf'))} for all of them"
         return InputError(f"there is no setting {field}", where=where, remedy=remedy)
     if kind == "literal_error":
-        return choice_error(field, str(value), re.findall(r"'([^']+)'", first["ctx"]["expected"]), where)
+        allowed = re.findall(r"'([^']+)'|(\d+)", first["ctx"]["expected"])
+        return choice_error(field, str(value), [text or number for text, number in allowed], where)
     if kind == "union_tag_invalid":
         tags_text = re.findall(r"'([^']+)'", first["ctx"]["expected_tags"])
         return choice_error(f"{field}.kind", str(first["ctx"]["tag"]), tags_text, where)

@@ -98,8 +98,8 @@ class Location(ABC):
         """Files in this folder that writers which no longer run left half-written."""
 
     @abstractmethod
-    def check_writable(self) -> None:
-        """Make sure that `put_if_absent` has one winner here.
+    def check_writable(self, word: str = "out=DIR") -> None:
+        """Make sure that `put_if_absent` has one winner here. word: what names another folder, for the message.
 
         Raises: InputError: it has not, or nothing can be written.
         """
@@ -166,9 +166,9 @@ class LocalLocation(Location):
         """See `Location`. Writers of other machines are left alone: nobody here knows whether they run."""
         return [LocalLocation(path) for path in atomic.leftovers(self.path)]
 
-    def check_writable(self) -> None:
+    def check_writable(self, word: str = "out=DIR") -> None:
         """See `Location`: hard links have one winner on every file system that has them, so a folder is tried alone."""
-        atomic.check_writable(self.path)
+        atomic.check_writable(self.path, word)
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         return [function(item) for item in items]

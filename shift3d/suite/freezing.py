@@ -119,7 +119,7 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
         return Frozen(read_suite(to), chosen.left_out, chosen.unverified, None)
     if any(name not in _UNFINISHED and not name.startswith(_SCENE) for name in to.names()):
         raise InputError("is no suite, and not empty", str(to), "Give another to=DIR")
-    to.check_writable()
+    to.check_writable("to=DIR")
     writing = _Writing(to, frames, blake2b(json.dumps([made, frames], sort_keys=True).encode()))
     objects, left_out, largest = _objects(plan, chosen, writing)
     if all(row["role"] == "control" for row in objects):

@@ -26,7 +26,6 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--times", metavar="FILE", type=Path, help='milliseconds from outputs/bench.json (make bench ARGS="-k effects")'
     )
-    parser.add_argument("--picture", metavar="FILE", type=Path, help="draw change against milliseconds into a file")
     parser.add_argument("--adopt", action="store_true", help="let effects=auto go by these numbers")
 
 
@@ -49,7 +48,6 @@ def _measured(path: Path) -> dict[str, float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.analysis.figures.sweep import effects_figure
     from shift3d.analysis.html.pages import write_effects_page
     from shift3d.analysis.tables.effects import (
         LEAST_SCENES,
@@ -74,9 +72,6 @@ def _run(arguments: argparse.Namespace) -> int:
         raise InputError(what, str(arguments.times), 'Measure every effect: make bench ARGS="-k effects"')
     print(f"{effect_table(impacts)}\n")
     print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, impacts)} written")
-    if arguments.picture:
-        figure = effects_figure({impact.effect: impact.measured for impact in impacts})
-        figure.savefig(arguments.picture, dpi=110, metadata={"Software": None})
     if arguments.adopt:
         if (fewest := min(impact.scenes for impact in impacts)) < LEAST_SCENES:
             what = f"{counted(fewest, 'scene')} behind an effect: intervals are too narrow below {LEAST_SCENES}"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _ACTIONS = ("list", "show")
 _WORDS = ("scene=", "scenes=", "scenes.", "attack.placement.")
-_SWEEP = "smoke"  # only its settings of scenes count; any would do
+_SWEEP = "retrieval"  # of scenes it chooses the group alone: what the words do not say is as conf/scenes has it
 
 _DESCRIPTION = """\
 list prints the names of the scenes that settings describe; show prints what was found in one of them (scene=NAME,
@@ -64,12 +64,10 @@ def _config(words: Sequence[str]) -> Config:
     if foreign:
         one_of = "One of: scenes=, scenes.SETTING=, scene=, out=, attack.placement.SETTING="
         raise InputError(f"cannot read {foreign[0]!r}", "scenes", one_of)
-    composed = compose_sweep(_SWEEP, words)
+    composed = compose_sweep(_SWEEP, ["scenes=street", *words])
     for axis in composed.axes:
         if axis.key.startswith("scene") or axis.key.startswith("attack.placement"):
             raise InputError(f"{axis.key} has several values", "scenes", "Give it one; lists stand in brackets: [a,b]")
-    if not any(word.startswith("scenes.count=") for word in words) and composed.base["scenes"]["kind"] != "street":
-        composed.base["scenes"]["count"] = None  # the sweep's own is meant for its scenes
     return validate(composed.base, "scenes")
 
 

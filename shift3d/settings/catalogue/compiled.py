@@ -41,7 +41,8 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
         return f"{config.file}: scores are compared with no original, as detector.original names none"
     first = tuple(islice(names, _COMPARED_SCENES))
     weights, layout = config.weights_by_name(), detector_layouts(config).get(config.original)
-    key = repr((config.file, config.original, weights.get(config.original), config.module, layout, first))
+    where = [scenes.source(name) for name in first]  # frames of two folders may have one name
+    key = repr((config.file, config.original, weights.get(config.original), config.module, layout, where))
     if key not in _done:
         from shift3d.detectors.compiled.agreement import require_agreement
         from shift3d.detectors.loading import detector_of

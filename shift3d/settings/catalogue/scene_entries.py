@@ -12,7 +12,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import os
 import platform
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,6 +22,7 @@ from typing import TYPE_CHECKING
 from pydantic import TypeAdapter
 
 from shift3d.errors import InputError
+from shift3d.processor import usable_cpus
 from shift3d.progress_bar import progress_bar
 from shift3d.scenes.facts import SceneFacts
 from shift3d.store.user_cache import keep, program_digest, read_kept, user_cache
@@ -86,11 +86,11 @@ def _known(scenes: SceneSet, name: str) -> SceneEntry | None:
 
 
 def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool | None) -> list[SceneEntry | InputError]:
-    """Load scenes, by a thread a core: most of it is arithmetic that lets other threads run.
+    """Load scenes, by a thread for each CPU of this process: most of it is arithmetic that lets other threads run.
 
     skip_bad: the error of one that cannot be read stands in its place.
     """
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(usable_cpus()) as threads:
         try:
             work = threads.map(lambda name: _look_at(scenes, name, skip_bad), names)
             # delay: nothing is shown of what is done at once

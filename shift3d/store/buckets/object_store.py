@@ -235,7 +235,7 @@ class ObjectLocation(Location):
         """See `Location`: none, since nothing is half-written."""
         return []
 
-    def check_writable(self) -> None:
+    def check_writable(self, word: str = "out=DIR") -> None:
         """See `Location`: tried, since some stores ignore the condition and would let two drivers write one entry."""
         probe = self / f".probe-{secrets.token_hex(8)}"
         try:

@@ -101,10 +101,14 @@ class VerifyAssets:
 def load_verify_assets(spec: AssetsSpec) -> VerifyAssets:
     """Load what the verification of a sweep's tasks shares.
 
-    Raises: InputError: as `load_assets`.
+    Raises: InputError: as `load_assets`; this machine does not see the sweep's folder, so that no task can run here.
     """
     assert spec.results is not None
-    return VerifyAssets(load_assets(spec), as_location(spec.results))
+    results = as_location(spec.results)
+    if not (table := results / "solutions.parquet").is_file():
+        remedy = "Workers read the sweep's tables: put its folder where every machine finds it, or into a bucket"
+        raise InputError("is not there on this machine", where=str(table), remedy=remedy)
+    return VerifyAssets(load_assets(spec), results)
 
 
 def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:

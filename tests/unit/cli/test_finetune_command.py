@@ -64,11 +64,12 @@ def test_the_commands_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert not list(tmp_path.iterdir()), "nothing runs"
 
 
+@pytest.mark.parametrize("words", [[], ["runner.address=auto", "runner.workers=64"]], ids=["private", "cluster"])
 def test_detectors_are_measured_with_the_cpus_that_this_process_may_use(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
-    assert main(["finetune", "--steps", *LOCAL[1:], f"out={tmp_path}"]) == 0
+    assert main(["finetune", "--steps", *LOCAL[1:], *words, f"out={tmp_path}"]) == 0
     measured = [line for line in capsys.readouterr().out.splitlines() if " evaluate " in line]
     assert measured and all(" workers=1 " in line for line in measured)
 

@@ -80,6 +80,15 @@ def test_another_module_is_no_release_of_the_first(folder: Path, capsys: pytest.
     assert main(["gate", *words]) == 0, "a name that has releases need not be given again"
 
 
+def test_releases_that_cannot_be_written_are_refused_before_anything_is_scored(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module, _ = write_detector(folder, 9.0)
+    words = ["suite=suite", "detector=own", f"module={module}", "mlflow=none", "accept=true"]
+    (folder / "file").write_bytes(b"")
+    assert "Choose another folder with releases=DIR" in refused([*words, "releases=file/releases"], capsys)
+
+
 def test_weights_of_another_shape(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     state = {name: value.clone() for name, value in NETWORKS["pointpillars"]().state_dict().items()}
     state["heads.classes.bias"] = torch.zeros(3)

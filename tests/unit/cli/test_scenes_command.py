@@ -30,6 +30,14 @@ def test_list_prints_the_names_that_a_sweep_takes(log: list[str], capsys: pytest
     assert capsys.readouterr().out.splitlines()[-1] == "1 scene of argoverse2"
 
 
+@pytest.mark.parametrize(("words", "scenes"), [([], 4), (["scenes=street_val"], 56)])
+def test_without_a_count_there_are_as_many_streets_as_the_option_says(
+    words: list[str], scenes: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["scenes", "list", *words]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"{scenes} scenes of street-mixed"
+
+
 def test_show_says_what_was_found_and_draws_it(log: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     name = f"{LOG}-{START + PERIOD}"
     assert main(["scenes", "show", *log, f"scene={name}", "out=pictures/scene.png"]) == 0

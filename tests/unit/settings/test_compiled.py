@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import valid_settings
 from onnx_files import OWN_SOURCE, write_model
+from valid_frames import NAME, street, write_frame
 
 from shift3d.errors import InputError
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import StreetScenes
 from shift3d.settings.catalogue.compiled import compare_with_original, require_score_only
 from shift3d.settings.catalogue.detector_files import detector_hash, scoring_detectors
@@ -95,3 +98,17 @@ def test_scores_are_held_against_the_original(tmp_path: Path) -> None:
     ):
         compare_with_original(compiled(tmp_path, 0.1, **original), streets, streets.names())
     assert "compared with no original" in compare_with_original(compiled(tmp_path, 0.1), streets, streets.names())
+
+
+def test_frames_of_one_name_in_two_folders_are_both_compared(tmp_path: Path) -> None:
+    for folder, ahead_m in (("near", 0.0), ("far", 30.0)):
+        write_frame(tmp_path / folder)
+        points = street() + np.array([ahead_m, 0.0, 0.0, 0.0], np.float32)
+        points.astype("<f4").tofile(tmp_path / folder / "training" / "velodyne" / f"{NAME}.bin")
+    config = compiled(tmp_path, 0.0, original="own", module=str(tmp_path / "own.py"))
+    (tmp_path / "own.py").write_text(OWN_SOURCE.replace("/ 100 *", "/ (100 if points[:, 0].mean() < 15 else 50) *"))
+    near, far = (KittiScenes(tmp_path / folder) for folder in ("near", "far"))
+    assert near.names() == far.names()
+    compare_with_original(config, near, near.names())
+    with pytest.raises(InputError, match=f"its score differs from own's .* in {NAME}"):
+        compare_with_original(config, far, far.names())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,6 +54,22 @@ def test_a_street_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [entry.content_hash for entry in made] == [scenes.load(name).content_hash() for name in scenes.names()]
     monkeypatch.setattr(StreetScenes, "load", unreadable)
     assert scene_entries(scenes) == made == scene_entries(scenes, preview=True)
+
+
+def test_no_more_scenes_are_in_memory_at_once_than_this_process_has_cpus(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container has the memory for its share of a machine's CPUs, not for all of them."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+    spans, load = [], StreetScenes.load
+
+    def timed(self: StreetScenes, name: str) -> object:
+        began, scene = time.monotonic(), load(self, name)
+        spans.append((began, time.monotonic()))
+        return scene
+
+    monkeypatch.setattr(StreetScenes, "load", timed)
+    scene_entries(StreetScenes("hdl64", count=2))
+    first, second = sorted(spans)
+    assert first[1] <= second[0]
 
 
 def test_few_streets_are_made_for_a_preview_too() -> None:

@@ -16,9 +16,15 @@ from shift3d.sweep.execution.worker import completed_rows
 from shift3d.sweep.results.final import with_verification
 from shift3d.task.assets import Assets
 from shift3d.task.differences import Differences
-from shift3d.task.exchange import TaskResult
+from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.follow_ups.rescoring import DRAWS, Solution, Verified
-from shift3d.task.follow_ups.verify import SCORE_TOLERANCE, VerifyAssets, verified_rows, verify_task
+from shift3d.task.follow_ups.verify import (
+    SCORE_TOLERANCE,
+    VerifyAssets,
+    load_verify_assets,
+    verified_rows,
+    verify_task,
+)
 from shift3d.task.spec import TaskSpec
 
 NO_ERROR = Differences(hits=300, missed_hits=0, false_hits=0, wrong_surface=0, depth_error_max_m=1e-5)
@@ -120,6 +126,13 @@ def test_a_real_solution_is_scored_again(finished: tuple[TaskSpec, VerifyAssets]
 def test_a_task_without_solutions_has_nothing_to_verify(finished: tuple[TaskSpec, VerifyAssets]) -> None:
     spec, held = finished
     assert verify_task(replace(spec, base_seed=1), held).verification == []
+
+
+def test_a_machine_that_does_not_see_the_sweeps_folder_loads_nothing(tmp_path: Path) -> None:
+    """Ray then leaves it out. Loaded, it would fail, and quarantine, every task that it is given."""
+    elsewhere = AssetsSpec(scenes={}, results=str(tmp_path / "final"))
+    with pytest.raises(InputError, match=r"final/solutions\.parquet: is not there on this machine\. Workers read"):
+        load_verify_assets(elsewhere)
 
 
 def test_tables_without_a_baseline_are_refused(finished: tuple[TaskSpec, VerifyAssets], tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def _run(arguments: argparse.Namespace) -> int:
         raise InputError(f"to={values['to']} does not end in .onnx", "compile", "Give to=FILE.onnx")
     from shift3d.store.atomic import check_writable, write_atomic
 
-    check_writable(target.parent)
+    check_writable(target.parent, "to=FILE.onnx")
     from shift3d.processor import configure_runtime
     from shift3d.settings.catalogue.compiled import compiled_network
 

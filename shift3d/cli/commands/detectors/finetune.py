@@ -206,8 +206,9 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
     from shift3d.processor import usable_cpus
     from shift3d.settings.schema.config import MlflowConfig, RayRunnerConfig
 
-    runner = config.runner
-    workers = runner.workers_on(usable_cpus()) if isinstance(runner, RayRunnerConfig) else 1
+    runner, cpus = config.runner, usable_cpus()
+    # Streets are evaluated by processes of this machine, however many workers a cluster has.
+    workers = min(runner.workers_on(cpus), cpus) if isinstance(runner, RayRunnerConfig) else 1
     mlflow = config.tracking.uri if isinstance(config.tracking, MlflowConfig) else "none"
     detector, own_weights = config.detector.name, config.detector.weights
     attacked = folder / "attacked"

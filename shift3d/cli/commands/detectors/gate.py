@@ -73,6 +73,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if called and "name" not in values:
         refuse_unknown_name(suite, releases, f"{scorer.name}:{called}")
     accept: Any = values.get("accept", "false")
+    if accept != "false":
+        releases.check_writable("releases=DIR")  # before everything is scored
     settings = GateSettings(Rule(**shares), workers, against, accept, called)
     outcome = run_gate(suite, scorer, releases, as_location(out), settings)
     print(outcome.text)

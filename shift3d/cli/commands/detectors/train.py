@@ -86,8 +86,8 @@ def _run(arguments: argparse.Namespace) -> int:
     fields = [word for word in arguments.words if word.startswith(_FIELD)]
     values = key_values([word for word in arguments.words if word not in fields], _KEYS, ("model",), "train")
     if "vehicles" in values:
-        of_detectors = [word.partition("=")[0] for word in fields]
-        refuse(dict.fromkeys(of_detectors, ""), of_detectors, "is for detectors", "train")
+        named = {word.partition("=")[0]: "" for word in fields}
+        refuse(named, named, "is for detectors", "train")
         return _train_on_meshes(values)
     if "method" in values and "finetune" not in values:
         raise InputError("method= says which objects of finetune=", where="train", remedy="Give finetune=OUT too")
