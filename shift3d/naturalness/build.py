@@ -20,7 +20,7 @@ from shift3d.naturalness.reference import Member, ReferenceSet, left_out_cm, rea
 from shift3d.naturalness.sizes import published_ranges
 from shift3d.naturalness.sources import Build, ReferenceSource, source_hash
 from shift3d.naturalness.surface import surface_of_mesh
-from shift3d.store.user_cache import source_digest, user_cache
+from shift3d.store.user_cache import program_digest, user_cache
 from shift3d.wording import counted
 
 CALIBRATED = 400
@@ -60,8 +60,9 @@ def _alone(lock: Path) -> Iterator[None]:
 
 
 def reference_file(source: ReferenceSource) -> Path:
-    """Where a reference set is kept: its name changes with its source and with the code that makes it."""
-    digest = hashlib.blake2b((source_hash(source) + source_digest(*_CODE)).encode(), digest_size=16)
+    """Where a reference set is kept: its name changes with its source, and with the code and the libraries that make
+    it."""
+    digest = hashlib.blake2b((source_hash(source) + program_digest(*_CODE)).encode(), digest_size=16)
     return user_cache() / "reference" / f"{digest.hexdigest()}.safetensors"
 
 

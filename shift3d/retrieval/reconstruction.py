@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -16,6 +17,10 @@ from shift3d.retrieval.crops import Crop
 from shift3d.retrieval.fit import SHIFT_M, STRETCH, TURN_RAD, Fit, fit_shape, turned
 from shift3d.retrieval.subspace import Subspace
 from shift3d.vehicles.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from shift3d.sdf.decoder import Decoder
+    from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 
 FLAGS = {
     "one_side": "the points lie along one side of the vehicle at most",
@@ -80,13 +85,22 @@ class Reconstructor:
         with torch.no_grad():
             return decoded_surface(self.subspace.field(u))
 
-    def vehicle(self, name: str, kind: str, u: NDArray[np.float64], scale_m: float) -> Vehicle:
-        """Fitted coordinates (k,) as a vehicle of its own, its decoded box's centre being the origin.
 
-        Raises: InputError for a code without a surface.
-        """
-        vertices = np.asarray(self._surface(u).vertices) @ self.sdf_R_object
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        length, width, height = (float(side) for side in (high - low) * scale_m)
-        centre = self.sdf_R_object @ ((low + high) / 2)
-        return Vehicle(name, kind, self.subspace.code(u), scale_m, self.sdf_R_object, centre, (length, width, height))
+def vehicle_of(
+    name: str,
+    kind: str,
+    decoder: Decoder | DeepSdfNetwork,
+    code: NDArray[np.float32],
+    scale_m: float,
+    sdf_R_object: NDArray[np.float64],
+) -> Vehicle:
+    """A fitted code (d,) as a vehicle of its own, its decoded box's centre being the origin.
+
+    decoder: of the code, whatever vehicles the subspace was made of that the code was fitted in.
+    Raises: InputError for a code without a surface.
+    """
+    vertices = np.asarray(decoded_surface(decoder.field(torch.from_numpy(code))).vertices) @ sdf_R_object
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    length, width, height = (float(side) for side in (high - low) * scale_m)
+    centre = sdf_R_object @ ((low + high) / 2)
+    return Vehicle(name, kind, code, scale_m, sdf_R_object, centre, (length, width, height))

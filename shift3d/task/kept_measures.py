@@ -1,7 +1,7 @@
 """How natural the unchanged vehicles of a set are, in the user's cache folder: half a second a vehicle, once a machine.
 
 A measure from there has the bits that this process would compute: its name changes with the decoder, the vehicles, the
-reference set, the code that measures and what decides rounding on this machine.
+reference set, the code and the libraries that measure and what decides rounding on this machine.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from shift3d.naturalness.sizes import Sizes
 from shift3d.progress_bar import progress_bar
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
-from shift3d.store.user_cache import keep, kept_file, read_kept, source_digest
+from shift3d.store.user_cache import keep, kept_file, program_digest, read_kept
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 
 # What measures, and what makes the reference set.
@@ -34,7 +34,7 @@ def kept_measures(
     """
     vehicles = [source.vehicle(name) for name in source.kinds()]
     hashes = [vehicle_hash(vehicle) for vehicle in vehicles]
-    file = kept_file("natural_kinds", source.decoder_hash(), hashes, reference, source_digest(*_CODE))
+    file = kept_file("natural_kinds", source.decoder_hash(), hashes, reference, program_digest(*_CODE))
     if (content := read_kept(file)) is not None:
         return {name: _measure(**values) for name, values in json.loads(content).items()}
     bar = progress_bar(vehicles, desc="measuring how natural each vehicle is", unit="vehicle", disable=not show)

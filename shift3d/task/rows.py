@@ -63,7 +63,7 @@ class Rows:
             same |= _summary(naturalness)
             if self._spec.mode != "pose" or candidate.method == "baseline":
                 shape = {"method": candidate.method, "replicate": candidate.replicate}
-                self._found.shapes.append(shape | _details(naturalness))
+                self._found.shapes.append(shape | shape_columns(naturalness))
         for name in self._spec.scored_by:
             answer = scored.answers[name]
             row = self._row(name, candidate.method, candidate.replicate, candidate.status)
@@ -169,10 +169,12 @@ def _summary(found: NaturalnessMeasure) -> Row:
     }
 
 
-def _details(found: NaturalnessMeasure) -> Row:
-    """Columns of the shapes; all but the share are None for a code without a surface."""
+def shape_columns(found: NaturalnessMeasure) -> Row:
+    """Columns of the shapes; all but the share are None for a code without a surface, and so is the clearance of a
+    shape without a middle."""
     nearest, sizes = found.nearest, found.sizes
-    row: Row = {name: getattr(sizes, name, None) for name in _SIZES}
+    measured = {name: getattr(sizes, name, math.nan) for name in _SIZES}
+    row: Row = {name: value if math.isfinite(value) else None for name, value in measured.items()}
     for direction in ("to_member", "from_member"):
         mean, p95 = getattr(nearest, f"{direction}_cm", (None, None))
         row |= {f"{direction}_cm": mean, f"{direction}_p95_cm": p95}

@@ -116,7 +116,7 @@ def fit_meshes(
         "vehicles": facts,
         "refused": refused,
     }
-    write_vehicle_set(out, decoder, [fit.vehicle for fit in fits], provenance)
+    write_vehicle_set(out, source, [fit.vehicle for fit in fits], provenance)
     return fits
 
 

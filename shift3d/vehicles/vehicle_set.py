@@ -83,7 +83,7 @@ class KnownCodes:
 
 def write_vehicle_set(
     out: Path | str,
-    decoder: Decoder,
+    decoder: Decoder | Path,
     vehicles: list[FittedVehicle],
     provenance: dict[str, Any],
     boxes: Mapping[str, BoxOfParameters] | None = None,
@@ -93,7 +93,7 @@ def write_vehicle_set(
 
     Vehicles are stored by name (`baseline_vehicles`), and everything that the decoder knows in one table
     (`family_vehicles`): `known`, or the same vehicles in the same order. boxes: by name, the parameters that codes are
-    made of.
+    made of. decoder: a file of one is copied, so that what others made with it is known to be of the same decoder.
     Raises: InputError without vehicles, or when two have one name.
     """
 
@@ -101,7 +101,10 @@ def write_vehicle_set(
         raise InputError("no vehicles, or two of one name", where=str(out), remedy="one file for every vehicle")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    save_decoder(decoder, folder / DECODER_FILE)
+    if isinstance(decoder, Decoder):
+        save_decoder(decoder, folder / DECODER_FILE)
+    else:
+        write_atomic(folder / DECODER_FILE, decoder.read_bytes())
     write_atomic(folder / FACTS_FILE, (json.dumps(provenance, indent=1) + "\n").encode())
     baselines = {vehicle.name: vehicle.facts() for vehicle in vehicles}
     tensors = {f"{vehicle.name}.latent_code": vehicle.latent_code.astype(np.float32) for vehicle in vehicles}

@@ -112,7 +112,7 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
     """A line a search and scoring detector: mean scores, and differences with their intervals.
 
     Differences are taken solution by solution. Draws are the scenes of the solutions and those that the retrieved
-    vehicles are of: one vehicle may be the nearest to many shapes. "in the log": before the attacked detector where the
+    vehicles are of: one vehicle may be the nearest to many shapes. "in the log": before the pool's detector where the
     vehicles stand, scenes of the pool redrawn. None where nothing was retrieved.
     """
     if retrieved.empty:

@@ -10,12 +10,11 @@ import numpy as np
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.detectors.base import Detector
 from shift3d.retrieval.pool import Pool, excluded
-from shift3d.retrieval.reconstruction import Reconstructor
+from shift3d.retrieval.reconstruction import vehicle_of
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.follow_ups.rescoring import Solution
-from shift3d.task.follow_ups.vehicle_pool import reconstructor_of
 from shift3d.task.follow_ups.verify import VerifyAssets, load_verify_assets
 from shift3d.task.problem import build_problem
 from shift3d.task.scoring import score_object
@@ -27,11 +26,10 @@ CONTROLS = 3
 
 @dataclass(frozen=True)
 class RetrievalAssets:
-    """What a worker holds: the sweep's assets and solutions, the pool, and what makes vehicles of its codes."""
+    """What a worker holds: the sweep's assets and solutions, and the pool."""
 
     held: VerifyAssets
     pool: Pool
-    reconstructor: Reconstructor
 
 
 def load_retrieval_assets(spec: AssetsSpec) -> RetrievalAssets:
@@ -41,8 +39,7 @@ def load_retrieval_assets(spec: AssetsSpec) -> RetrievalAssets:
     """
     held = load_verify_assets(spec)
     path = as_location(str(spec.results)) / "vehicle_pool.parquet"
-    pool = Pool.of(read_table(path, "vehicle_pool").to_pydict(), str(path))
-    return RetrievalAssets(held, pool, reconstructor_of(held.assets.vehicles))
+    return RetrievalAssets(held, Pool.of(read_table(path, "vehicle_pool").to_pydict(), str(path)))
 
 
 def retrieval_task(spec: TaskSpec, held: RetrievalAssets) -> TaskResult:
@@ -89,10 +86,12 @@ def _scored(
 ) -> dict[str, Row]:
     """A vehicle of the pool at a solution's pose, on the ground, by the scoring detector's name."""
     assets = held.held.assets
-    u = np.array(kin["coordinates"], np.float64)
-    vehicle = held.reconstructor.vehicle(f"{kin['scene']}/{kin['label']}", kin["kind"], u, kin["scale_m"])
+    own, code = solution.vehicle or assets.vehicle(spec), np.array(kin["latent_code"], np.float32)
+    # Not of its coordinates: they are of the pool's vehicles, and the sweep's may be others of the same decoder.
+    name = f"{kin['scene']}/{kin['label']}"
+    vehicle = vehicle_of(name, kin["kind"], assets.decoder, code, kin["scale_m"], own.sdf_R_object)
     theta = solution.theta.clone()
-    theta[2] += (vehicle.size_m[2] - (solution.vehicle or assets.vehicle(spec)).size_m[2]) / 2
+    theta[2] += (vehicle.size_m[2] - own.size_m[2]) / 2
     problem = build_problem(spec, assets, theta, vehicle)
     stands = on_ground(problem.code0, problem, SNAP_M)
     found = score_object(problem, problem.code0, stands, spec.attack.detection_radius_m, others)

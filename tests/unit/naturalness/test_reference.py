@@ -15,7 +15,7 @@ from shift3d.naturalness.build import build_reference, load_reference, reference
 from shift3d.naturalness.measure import Naturalness
 from shift3d.naturalness.reference import read_reference
 from shift3d.naturalness.sources import MeshReference, SetReference, WideReference, reference_source, source_hash
-from shift3d.store.user_cache import source_digest
+from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.vehicles.family.split import SPLIT
 from shift3d.vehicles.mesh_frame import MeshFrame
 
@@ -81,10 +81,20 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
 def test_a_set_that_other_code_made_is_made_again(monkeypatch: pytest.MonkeyPatch, part: str) -> None:
     """What decodes a member, and puts it into metres, decides what it is."""
     known, read = reference_file(SetReference()), Path.read_bytes
-    monkeypatch.setattr("shift3d.naturalness.build.source_digest", source_digest.__wrapped__)
+    monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
+    monkeypatch.setattr("shift3d.naturalness.build.program_digest", program_digest.__wrapped__)
     assert reference_file(SetReference()) == known
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(f"/{part}"))
     assert reference_file(SetReference()) != known
+
+
+def test_a_set_that_another_library_meshed_is_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = reference_file(SetReference())
+    monkeypatch.setattr("shift3d.naturalness.build.program_digest", program_digest.__wrapped__)
+    monkeypatch.setattr("importlib.metadata.version", lambda library: "0.0" if library == "scikit-image" else "1.0")
+    one = reference_file(SetReference())
+    monkeypatch.setattr("importlib.metadata.version", lambda library: "1.0")
+    assert known != reference_file(SetReference()) != one
 
 
 def test_another_file_or_frame_is_another_set(tmp_path: Path) -> None:

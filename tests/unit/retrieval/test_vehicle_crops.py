@@ -11,8 +11,9 @@ from known_shapes import LENGTH_M, PER_LENGTH, coordinates, scene_of, subspace, 
 
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.retrieval.crops import FEWEST_POINTS, FLOOR_M, KEPT_POINTS, Crop, crop_vehicles, seen_sides
-from shift3d.retrieval.reconstruction import Reconstructor
+from shift3d.retrieval.reconstruction import Reconstructor, vehicle_of
 from shift3d.scenes.sets import StreetScenes
+from shift3d.vehicles.sources import VehicleSet
 
 BOX = np.array([14.0, 5.0, -0.9, LENGTH_M, 1.85, 1.5, 0.6])
 U = 0.8 * coordinates(0)
@@ -101,7 +102,8 @@ def test_a_box_of_something_else_is_flagged() -> None:
 
 def test_a_vehicle_of_its_own_has_its_box_centre_as_origin() -> None:
     found = reconstructor().reconstruct(only(seen()))
-    vehicle = reconstructor().vehicle("kin", "Car", found.fit.u, found.fit.scale_m)
+    code = subspace().code(found.fit.u)
+    vehicle = vehicle_of("kin", "Car", VehicleSet().decoder(), code, found.fit.scale_m, np.eye(3))
     mesh = reconstructor().mesh(found.fit)
     assert np.array(vehicle.size_m) == pytest.approx(mesh.extents, rel=0.02)
     assert vehicle.size_m[0] == pytest.approx(LENGTH_M, abs=0.12)

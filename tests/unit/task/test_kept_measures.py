@@ -79,8 +79,8 @@ def test_code_that_makes_another_reference_set_measures_anew(
     """A measure is held against the members of the set: what they depend on, it depends on."""
     made: list[str] = []
     measured: list[str] = []
-    monkeypatch.setattr("shift3d.naturalness.build.source_digest", lambda *parts: made.extend(parts) or "digest")
-    monkeypatch.setattr("shift3d.task.kept_measures.source_digest", lambda *parts: measured.extend(parts) or "digest")
+    monkeypatch.setattr("shift3d.naturalness.build.program_digest", lambda *parts: made.extend(parts) or "digest")
+    monkeypatch.setattr("shift3d.task.kept_measures.program_digest", lambda *parts: measured.extend(parts) or "digest")
     reference_file(reference_source(WIDE))
     kept(shipped, Counted())
     assert made and all(any(PurePath(part).is_relative_to(whole) for whole in measured) for part in made)

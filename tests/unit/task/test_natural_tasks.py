@@ -8,13 +8,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import trimesh
 from short_tasks import KNOWN, NO_GRID, SHORT, STREET, WIDE, by_method, make_spec
 
 from shift3d.errors import InputError
+from shift3d.naturalness.measure import NaturalnessMeasure
+from shift3d.naturalness.sizes import sizes_of
 from shift3d.naturalness.sources import reference_source, source_hash
+from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.store.tables import table_from_rows
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.rows import shape_columns
 from shift3d.task.run import run_task
 from shift3d.task.spec import AttackSpec, TaskSpec
 
@@ -49,6 +54,17 @@ def test_every_shape_and_baseline_says_how_natural_it_is(measured: tuple[Assets,
     sizes = [own[name] for name in ("length_m", "width_m", "height_m")]
     assert sizes == pytest.approx(measured[0].vehicle(make_spec()).size_m, abs=0.02)
     assert table_from_rows("shapes", [row | KNOWN for row in found.shapes]).num_rows == 3
+
+
+def test_a_shape_without_a_middle_has_no_clearance_and_its_row_is_written() -> None:
+    front, rear = trimesh.creation.box((0.5, 0.5, 0.5)), trimesh.creation.box((0.5, 0.5, 0.5))
+    rear.apply_translation((-4.0, 1.5, 0.2))
+    surface = surface_of_mesh(trimesh.util.concatenate([front, rear]))
+    found = NaturalnessMeasure(None, sizes_of(surface), 100.0, 0.5)
+    assert "clearance_m" in found.out_of_range
+    row = KNOWN | {"method": "adversarial", "replicate": 0} | shape_columns(found)
+    written = table_from_rows("shapes", [row])
+    assert written["clearance_m"].to_pylist() == [None] and written["length_m"].to_pylist() == [4.5]
 
 
 def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:

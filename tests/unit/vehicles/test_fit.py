@@ -19,6 +19,7 @@ from shift3d.vehicles import orientation, vehicle_set
 from shift3d.vehicles.family import build_mesh, sample_spec
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.orientation import frames_along, turned
+from shift3d.vehicles.sources import VehicleSet
 from shift3d.vehicles.vehicle import baseline_vehicles, family_vehicles, vehicle_mesh
 
 
@@ -65,6 +66,7 @@ def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
     assert (out / "pictures" / "hatchback_of_mine.png").stat().st_size > 1000
     (trained,) = family_vehicles(out / "vehicles.safetensors")
     assert np.array_equal(trained.latent_code, vehicle.latent_code)
+    assert VehicleSet(out).decoder_hash() == VehicleSet().decoder_hash(), "a pool of the shipped vehicles serves it"
 
 
 def test_an_upside_down_mesh_is_said_to_fit_better_the_right_way_up(

@@ -24,7 +24,7 @@ _LEAD = (
     "Labelled vehicles of other scenes were cropped, and their shapes fitted to their points. The vehicle whose latent "
     "code is nearest to that of an adversarial shape is put in its place. By the paper's rule, a shape without a near "
     "one (nearer than its own code is long) is left out. Controls are vehicles of the same scenes that were seen from "
-    "as far and by as many points, in the same place. In the log: before the attacked detector where they stand."
+    "as far and by as many points, in the same place. In the log: before the pool's detector where they stand."
 )
 _CURVES = {
     "score_baseline": ("baseline", COLOURS["baseline"], "solid"),
