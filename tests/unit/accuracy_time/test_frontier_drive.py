@@ -13,9 +13,10 @@ from shift3d.cli.commands import frontier
 from shift3d.errors import InputError
 
 _MEASURES_NOTHING = {
-    *("effects", "errors", "exit_codes", "naturalness", "progress_bar", "settings", "store", "training", "wording"),
+    *("effects", "errors", "exit_codes", "naturalness", "progress_bar", "seeding", "settings", "store", "training"),
+    "wording",
 }
-"""Reads settings, keeps tables, words texts, or is of tasks that a frontier has not."""
+"""Reads settings, keeps tables, words texts, draws places (which are part of a case), or is of other tasks alone."""
 
 
 def test_a_case_without_a_place_is_said_before_another_is_measured(tmp_path: Path) -> None:
@@ -23,7 +24,7 @@ def test_a_case_without_a_place_is_said_before_another_is_measured(tmp_path: Pat
     config = frontier._config(words)
     plan, _ = frontier.plan_of(config, "^draft$", quick=False)
     with pytest.raises(InputError, match="omnibus"):
-        drive.measure_frontier(frontier.groups_of(config), plan, tmp_path, False, lambda *told: None)
+        drive.measure_frontier(frontier.groups_of(config), plan, tmp_path, False, lambda *_: None)
     assert not list(tmp_path.iterdir())
 
 
