@@ -21,7 +21,7 @@ from shift3d.suite.freezing import Frozen, freeze_suite
 from shift3d.suite.frozen import manifest_bytes, read_suite
 from shift3d.suite.scoring import Scorer, score_suite
 from shift3d.sweep.execution.worker import completed_rows
-from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import load_assets
 from shift3d.task.run import run_task
@@ -130,6 +130,19 @@ def test_referenced_frames_are_made_again_and_must_be_the_same(frozen: Frozen, s
     (tmp_path / "suite.json").write_bytes(manifest_bytes({**manifest, "scene_sets": [kitti]}))
     with pytest.raises(InputError, match=str(tmp_path / "elsewhere")):
         read_suite(tmp_path, root=str(tmp_path / "elsewhere")).background(name)
+
+
+def test_a_vehicle_of_another_kind_has_that_kinds_name_and_size(sweep: Path, tmp_path: Path) -> None:
+    """A search over kinds turns an SUV into a coupe: a gate says what is missed."""
+    plan = read_plan(sweep)
+    assets = load_assets(plan.assets[0])
+    coupe = assets.vehicles.vehicle("coupe")
+    own = read_table(sweep / "final" / "solutions.parquet", "solutions").to_pylist()[0]
+    turned = own | {"drawn_as": "coupe", "latent_code": coupe.latent_code.tolist()}
+    writing = freezing._Writing(as_location(tmp_path), "referenced", "")
+    rows = [freezing._object(plan.tasks[0].spec, row, assets, writing)[0] for row in (own, turned)]
+    assert [row["vehicle"] for row in rows] == ["suv", "coupe"]
+    assert rows[1]["dx_m"] == coupe.size_m[0] != rows[0]["dx_m"]
 
 
 def test_controls_alone_are_no_suite(sweep: Path, tmp_path: Path) -> None:
