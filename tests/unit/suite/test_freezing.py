@@ -173,6 +173,7 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
     ]  # fmt: skip
     fine = [{"score": 0.01 * number, "stable": True} for number in range(20)]
     fine[7] |= {"status": "diverged"}  # what it found before counts
+    fine[8] |= {"mode": "pose", "natural": False}  # a car that the reference set lacks, moved
     rows = [{**one, **change, "task_id": f"{number:032x}"} for number, change in enumerate([*fine, *faults])]
     rows = [{key: _plain(value) for key, value in row.items()} for row in rows]
     write_table(tmp_path / "final" / "scores.parquet", table_from_rows("scores", rows))
