@@ -56,8 +56,8 @@ def _curves(rows: pd.DataFrame) -> Plot:
     for column, (name, colour, dash) in _CURVES.items():
         scored = rows[rows[column].notna()]
         found.append(RecallCurve(name, scored[column], scored["place"], colour, dash))
-    caption = f"Threshold-recall of {counted(len(rows), 'solution')} with natural kin, in the same place"
-    return recall_plot("curve-retrieval", found, caption, caption)
+    label = f"Threshold-recall of {counted(len(rows), 'solution')} with natural kin, in the same place"
+    return recall_plot("curve-retrieval", found, label, f"{label}; bands redraw the solutions' scenes alone")
 
 
 def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> Picture:
