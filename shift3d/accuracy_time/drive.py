@@ -28,8 +28,11 @@ from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
 
 _TRUTH_SECONDS = 25.0
-# What the numbers depend on, and what only presents them.
-_CODE = ("accuracy_time", "attack", "detectors", "geometry", "render", "scenes", "sdf", "task", "vehicles")
+# What the numbers depend on; what only reads settings, keeps or presents them is left out.
+_CODE = (
+    *("accuracy_time", "attack", "detectors", "geometry", "placement", "processor.py", "render", "scenes", "sdf"),
+    *("task", "vehicles"),
+)
 
 
 @dataclass(frozen=True)
@@ -76,26 +79,27 @@ def measure_frontier(
         folder: gets a folder ``measured/`` with a truth and a journal a case, by the hash of all that they depend on.
         again: forget what was measured. Truths are kept.
 
-    Raises: InputError: assets that are missing, a case without a place, a disk that is full.
+    Raises: InputError: assets that are missing or a case without a place, before anything is measured; a disk that is
+    full.
     """
+    held = [(group, load_assets(group.assets)) for group in groups]
+    cases = [(group, assets, case) for group, assets in held for case in _cases(group, plan, assets)]
     measured = []
-    for group in groups:
-        assets = load_assets(group.assets)
-        for case in _cases(group, plan, assets):
-            name = re.sub(r"[^\w.-]+", "-", case.name)
-            here = folder / "measured" / f"{name}-{_identity(case, plan, assets, group)}"
-            truth = _truth(here / "truth.npz", case, plan, assets, tell)
-            journal = Journal(here / "journal.jsonl")
-            if again:
-                journal.forget()
-            instrument = CaseInstrument(case, assets, truth, plan.reference, plan.warm_steps, plan.repeats.slow_s)
+    for group, assets, case in cases:
+        name = re.sub(r"[^\w.-]+", "-", case.name)
+        here = folder / "measured" / f"{name}-{_identity(case, plan, assets, group)}"
+        truth = _truth(here / "truth.npz", case, plan, assets, tell)
+        journal = Journal(here / "journal.jsonl")
+        if again:
+            journal.forget()
+        instrument = CaseInstrument(case, assets, truth, plan.reference, plan.warm_steps, plan.repeats.slow_s)
 
-            def report(name: str, seconds: float, known: bool, where: str = case.name) -> None:
-                tell(f"{where}: {name}", seconds, known)
+        def report(name: str, seconds: float, known: bool, where: str = case.name) -> None:
+            tell(f"{where}: {name}", seconds, known)
 
-            results = measure_case(plan.settings, instrument, journal, plan.repeats, report)
-            undecided = sum(truth.unresolved.values())
-            measured.append(MeasuredCase(group.name, case.beams, results, undecided))
+        results = measure_case(plan.settings, instrument, journal, plan.repeats, report)
+        undecided = sum(truth.unresolved.values())
+        measured.append(MeasuredCase(group.name, case.beams, results, undecided))
     return measured
 
 

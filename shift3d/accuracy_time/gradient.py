@@ -87,11 +87,13 @@ def attack_step(
 
 
 def cosine(a: Tensor, b: Tensor) -> float:
-    """Cosine of the angle between two gradients; 1 where both are zero, 0 where one is."""
+    """Cosine of the angle between two gradients; 1 where both are zero, 0 where one is, or is not finite."""
     a, b = a.double().flatten(), b.double().flatten()
     lengths = float(a.norm()) * float(b.norm())
     if lengths == 0:
         return 1.0 if float(a.norm()) == float(b.norm()) else 0.0
+    if not math.isfinite(lengths):
+        return 0.0
     return max(-1.0, min(1.0, float(a @ b) / lengths))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-import pyarrow.parquet as pq
+import pyarrow as pa
 
 from shift3d.analysis.mlflow.measured import mirror_measured
 from shift3d.evaluation.breakdown import Area, overall_areas
@@ -17,7 +17,7 @@ from shift3d.finetuning.rescoring import METHODS, RESCORED, object_scores, resco
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA, finetune_table, natural_rows
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.atomic import write_atomic
-from shift3d.store.tables import write_table
+from shift3d.store.tables import read_parquet, write_table
 from shift3d.training.detector.detect_scenes import read_answer
 
 HELD_OUT = ("held_out", "other_vehicles")
@@ -50,11 +50,11 @@ def score_held_out(folder: Path, tuned: Tuned) -> None:
     """Score vanilla's objects of every held-out sweep by a tuned model; what is there is not scored again, unless the
     sweep has got further objects, as of tasks that were retried.
 
-    Raises: InputError as `rescored`.
+    Raises: InputError as `rescored`; a file of scores that is damaged.
     """
     for sweep in HELD_OUT:
         file, objects = tuned.scores_file(sweep), object_scores(folder / sweep, tuned.detector).select(_OBJECT)
-        if not file.is_file() or not pq.read_table(file, columns=_OBJECT).equals(objects):
+        if not file.is_file() or not _table(file).select(_OBJECT).equals(objects):
             write_table(file, rescored(folder / sweep, tuned.detector, tuned.weights))
 
 
@@ -62,7 +62,7 @@ def write_report(folder: Path, detector: str, models: Sequence[Tuned], commands:
     """Write finetune.parquet and report.html, each whole or not at all; returns the table that is printed.
 
     commands: that made the folder, for the page. The same folder gives the same bytes.
-    Raises: InputError for a sweep, evaluation or provenance that is missing or damaged, or a full disk.
+    Raises: InputError for a sweep, evaluation or scores that are missing or damaged, or a full disk.
     """
     scores = pd.concat(list(_scores(folder, detector, models)), ignore_index=True)
     folders: dict[Model, Path] = {(VANILLA, None): folder / VANILLA / NATURAL}
@@ -83,7 +83,7 @@ Model = tuple[str, int | None]
 def natural_areas(folders: Mapping[Model, Path]) -> dict[Model, dict[tuple[str, str], Area]]:
     """AP and APH of models over the natural scenes that the last evaluation of each was of. folders: of evaluations."""
     # Answers may be more, from the same command with more streets.
-    tables = [pq.read_table(own / "timings.parquet", columns=["scene"]) for own in folders.values()]
+    tables = [_table(own / "timings.parquet") for own in folders.values()]
     shared = sorted(set.intersection(*(set(table["scene"].to_pylist()) for table in tables)))
     return {
         key: overall_areas([read_answer(own / "scenes" / f"{name}.npz").frame for name in shared])
@@ -94,7 +94,7 @@ def natural_areas(folders: Mapping[Model, Path]) -> dict[Model, dict[tuple[str, 
 def mirror(folder: Path, models: Sequence[Tuned], uri: str, experiment: str) -> str | None:
     """Write the run of a fine-tuning to MLflow. Returns None, or why it could not be written."""
     metrics: dict[str, float] = {}
-    for row in pq.read_table(folder / _TABLE).to_pylist():
+    for row in _table(folder / _TABLE).to_pylist():
         parts = [row["scene_set"], row["objects"], row["metric"], row["model"]]
         parts += [] if row["seed"] is None else [f"seed {row['seed']}"]
         name = "/".join(part for part in parts if part)
@@ -102,6 +102,10 @@ def mirror(folder: Path, models: Sequence[Tuned], uri: str, experiment: str) -> 
     facts = [json.loads(tuned.weights.with_suffix(".json").read_bytes()) for tuned in models]
     params = {f"{tuned.model}-{tuned.seed}": _params(own) for tuned, own in zip(models, facts, strict=True)}
     return mirror_measured("finetune", folder, (_TABLE, _PAGE), metrics, params, uri, experiment)
+
+
+def _table(file: Path) -> pa.Table:
+    return read_parquet(file, "Remove it: the same command makes it again")[0]
 
 
 def _params(facts: dict[str, object]) -> dict[str, object]:
@@ -119,7 +123,7 @@ def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd
         found = before[before["method"] == "adversarial"]
         yield _named(found.assign(method=ADAPTIVE), VANILLA, None, sweep)
         for tuned in models:
-            yield _named(pd.read_parquet(tuned.scores_file(sweep)), tuned.model, tuned.seed, sweep)
+            yield _named(_table(tuned.scores_file(sweep)).to_pandas(), tuned.model, tuned.seed, sweep)
             if (tuned.folder / sweep / "final" / "solutions.parquet").is_file():
                 own = object_scores(tuned.folder / sweep, detector, tuned.weights).to_pandas()
                 own = own[own["method"] == METHODS[1]]

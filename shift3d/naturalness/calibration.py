@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 NATURAL_PERCENTILE = 95.0
 """Of the members left out 95 in 100 are natural by this measure, and 5 are not."""
 NATURAL_RULE = (
-    f"within the {NATURAL_PERCENTILE:g}th percentile of the distances between members of the reference set, and of a "
-    "published vehicle's sizes"
+    f"within the {NATURAL_PERCENTILE:g}th percentile of the distances between members of the reference set, of a "
+    "published vehicle's sizes, and in one piece"
 )
 """What natural means, for tables."""
 FEWEST = 21

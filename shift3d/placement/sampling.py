@@ -242,7 +242,7 @@ def pose_on_plane(
     """(6,) float64 pose whose box stands with the middle of its bottom on a plane of this height and attitude."""
     pitch, roll = attitude
     lift = 0.5 * object_height_m * math.cos(pitch) * math.cos(roll)
-    # The centre lies along the plane's normal above (x, y); sideways that is under 2 % of the height.
+    # The centre would lie along the plane's normal above (x, y): at `MAX_SLOPE` by a twentieth of the height aside.
     return torch.tensor([xy[0], xy[1], height_m + lift, yaw, pitch, roll], dtype=torch.float64)
 
 

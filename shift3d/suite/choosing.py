@@ -50,8 +50,8 @@ class Chosen:
 def choose_solutions(sweep: Location, choice: Choice) -> Chosen:
     """The solutions of a finished sweep that are to be frozen; the same tables and choice to the same ones.
 
-    Left out: what has no score or breaks a constraint, what a verification found unstable, and shapes that are not
-    natural where that was measured.
+    Left out: what has no score or breaks a constraint, what a verification found unstable, and shapes that a search or
+    a draw made which are not natural, where that was measured.
 
     Raises: InputError: the sweep is not finished, has no such method, or nothing of it is eligible.
     """
@@ -83,7 +83,8 @@ def _eligible(rows: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, int]]:
         ("in the way of other points", rows["overlap_ok"].ne(False)),  # null passes
         ("off the ground", rows["contact_ok"].ne(False)),
         ("unstable", rows["stable"].ne(False)),
-        ("unnatural", rows["natural"].ne(False)),
+        # The vehicle's own shape is what it is, however far it lies from the reference set.
+        ("unnatural", rows["natural"].ne(False) | (rows["mode"] == "pose") | (rows["method"] == "baseline")),
     ):
         keeps = keeps[rows.index]
         if (~keeps).any():

@@ -249,7 +249,8 @@ def _object(
     row = {
         "object_id": blake2b(b"".join(parts)),
         "task_id": spec.task_id,
-        **{name: getattr(spec, name) for name in ("vehicle", "scene", "dataset", "mode")},
+        "vehicle": assets.drawn_vehicle(spec, solution).name,
+        **{name: getattr(spec, name) for name in ("scene", "dataset", "mode")},
         **{name: solution[name] for name in ("method", "replicate", "pitch_rad", "roll_rad")},
         "background": background,
         "scene_hash": scene.content_hash(),

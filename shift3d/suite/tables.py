@@ -20,11 +20,11 @@ _OBJECT = "object_id role"
 _FROM = "task_id method vehicle scene dataset mode"
 _BOX = "x_m y_m z_m dx_m dy_m dz_m heading_rad pitch_rad roll_rad"
 _COLUMNS = {
-    # A row an object. control: object_id of a hard object's control. background: of the scene's points. frames: which
-    # of the manifest's scene sets, where frames are referenced. The scene as detectors see it: the background's points,
-    # those of ``rows`` replaced by the first of ``points`` (x, y, z after one another), the rest of these appended.
-    # hits: rows on the object. Box: scene frame, geometric centre. radius_m: how near a box lies that detects it.
-    # precision: of the detector that scores.
+    # A row an object. control: object_id of a hard object's control. vehicle: that it was drawn as, which a search over
+    # kinds chooses. background: of the scene's points. frames: which of the manifest's scene sets, where frames are
+    # referenced. The scene as detectors see it: the background's points, those of ``rows`` replaced by the first of
+    # ``points`` (x, y, z after one another), the rest of these appended. hits: rows on the object. Box: scene frame,
+    # geometric centre. radius_m: how near a box lies that detects it. precision: of the detector that scores.
     "objects": (
         f"{_OBJECT} control? {_FROM} replicate:int32 background scene_hash frames:int32 effects:list-of-string "
         f"ground_z_m {_BOX} radius_m precision object_points "

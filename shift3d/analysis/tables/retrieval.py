@@ -58,10 +58,15 @@ def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
     that of the retrieved vehicle's own scene.
     """
     rows = retrieved[~retrieved["excluded"].astype(bool)]
-    controls = rows[rows["role"] == "control"].groupby(_KEY)[["score", "pool_score"]].mean()
+    controls = controls_of(retrieved).groupby(_KEY)[["score", "pool_score"]].mean()
     controls = controls.rename(columns={"score": "control", "pool_score": "control_in_log"})
     found = rows[rows["role"] == "retrieved"].merge(controls.reset_index(), on=_KEY, how="left")
     return found.assign(place=places_of(found), log_place=places_of(found, "pool_dataset", "pool_scene"))
+
+
+def controls_of(retrieved: pd.DataFrame) -> pd.DataFrame:
+    """A row a control and detector, of the solutions of `kept`."""
+    return retrieved[(retrieved["role"] == "control") & ~retrieved["excluded"].astype(bool)]
 
 
 def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:

@@ -216,7 +216,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
     if verdicts := natural_by_task(result.final.frame("scores")):
         counts |= {"shapes_measured": len(verdicts), "shapes_natural": sum(verdicts.values())}
     counts |= mlflow_sweep.follow_up_metrics({name: result.final.frame(name) for name in result.final.tables})
-    settings = {"settings": plan.settings, "axes": plan.axes}
+    settings = {"settings": plan.common_settings, "axes": plan.axes}
     auc, curves = result.final.frame("auc"), result.final.frame("curves")
     record = mlflow_sweep.SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)
     mirror(config.tracking, partial(mlflow_sweep.mirror, record), f"{plan.sweep}-{plan.spec_hash}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import hashlib
 import json
@@ -52,6 +53,15 @@ class Plan:
     skipped: Mapping[str, str] = field(default_factory=dict)
     preview: bool = False
     notes: tuple[str, ...] = ()
+
+    @property
+    def common_settings(self) -> dict[str, Any]:
+        """The settings without those that are an axis: what is true of every task."""
+        common = copy.deepcopy(self.settings)
+        for key in self.axes:
+            *parents, leaf = key.split(".")
+            functools.reduce(lambda part, name: part.get(name) or {}, parents, common).pop(leaf, None)
+        return common
 
     @functools.cached_property
     def spec_hash(self) -> str:

@@ -74,3 +74,5 @@ def test_cosine_and_ratio_of_gradients() -> None:
     zero = torch.zeros(2)
     assert (cosine(zero, zero), norm_ratio(zero, zero)) == (1.0, 1.0)
     assert cosine(a, zero) == 0.0 and math.isfinite(norm_ratio(a, zero)) and norm_ratio(zero, a) == 0.0
+    for broken in (torch.tensor([math.nan, 1.0]), torch.tensor([math.inf, 1.0])):
+        assert cosine(broken, a) == cosine(broken, zero) == 0.0 and norm_ratio(broken, a) == 1e9

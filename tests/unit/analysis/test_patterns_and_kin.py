@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import re
 from typing import Any
 
@@ -10,9 +12,11 @@ import pandas as pd
 import pytest
 from scipy.stats import t
 
+from shift3d.analysis.html.sections.curves import thresholds
+from shift3d.analysis.html.sections.retrieval import kin_curves
 from shift3d.analysis.mlflow.sweep import follow_up_metrics
 from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
-from shift3d.analysis.tables.retrieval import kept, kin_of, pool_table, retrieval_table
+from shift3d.analysis.tables.retrieval import controls_of, kept, kin_of, pool_table, retrieval_table
 from shift3d.errors import InputError
 
 KNOWN = {"search": "descent", "lambda": 1.0, "alpha": 0.01, "detector": "pointpillars", "scored_by": "pointpillars"}
@@ -133,6 +137,20 @@ def test_kin_are_compared_with_the_mean_of_their_controls_and_the_excluded_are_l
     assert retrieval_table(pd.DataFrame(rows).iloc[:0]) is None
     nothing = retrieval_table(pd.DataFrame(rows).iloc[-1:])
     assert nothing is not None and "No vehicle of the pool is near enough" in nothing.title
+
+
+def test_the_curve_of_controls_is_of_single_vehicles() -> None:
+    """Of two with scores of 0.6 and 0.8 one is found above 0.65; their mean would be."""
+    rows = pd.DataFrame([
+        retrieved(f"s{number}", role, score, replicate=replicate)
+        for number in range(6)
+        for role, score, replicate in (("retrieved", 0.5, 0), ("control", 0.6, 1), ("control", 0.8, 2))
+    ])  # fmt: skip
+    plot = kin_curves(kept(rows), controls_of(rows))
+    curves = {trace["name"]: trace["y"] for trace in json.loads(plot.data)["data"] if "name" in trace}
+    recall = np.frombuffer(base64.b64decode(curves["controls, 0.700"]["bdata"]), curves["controls, 0.700"]["dtype"])
+    assert recall[np.searchsorted(thresholds(), (0.595, 0.65, 0.8))].tolist() == [1.0, 0.5, 0.0]
+    assert {"baseline, 0.800", "adversarial, 0.200", "retrieved, 0.500"} <= curves.keys()
 
 
 def test_kin_are_so_many_vehicles_however_many_shapes_they_are_the_nearest_to() -> None:

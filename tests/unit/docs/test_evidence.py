@@ -81,7 +81,8 @@ def test_a_processor_without_bfloat16_leaves_its_row_out(monkeypatch: pytest.Mon
 def test_a_frontier_depends_on_what_its_own_journal_depends_on() -> None:
     """The folders whose change makes `make frontier` measure afresh."""
     for name in ("frontier", "final_newton"):
-        assert [room for room in drive._CODE if f"shift3d/{room}/*" not in ENTRIES[name].depends] == []
+        parts = [f"shift3d/{part}" if part.endswith(".py") else f"shift3d/{part}/*" for part in drive._CODE]
+        assert set(parts) <= set(ENTRIES[name].depends)
 
 
 def test_every_number_of_a_table_is_drawn_or_listed_with_a_reason() -> None:

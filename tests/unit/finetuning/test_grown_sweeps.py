@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from shift3d.errors import InputError
 from shift3d.finetuning import report
 from shift3d.finetuning.rescoring import RESCORED
 
@@ -39,4 +41,8 @@ def test_objects_of_tasks_that_were_retried_are_scored_too(tmp_path: Path, monke
     tasks.append("t1")
     report.score_held_out(tmp_path, tuned)
     assert scored == list(report.HELD_OUT)
-    assert report.pq.read_table(tuned.scores_file("held_out"))["task_id"].to_pylist() == ["t0", "t0", "t1", "t1"]
+    file = tuned.scores_file("held_out")
+    assert pq.read_table(file)["task_id"].to_pylist() == ["t0", "t0", "t1", "t1"]
+    file.write_bytes(file.read_bytes()[:-20])
+    with pytest.raises(InputError, match=r"scores-held_out.*Remove it"):
+        report.score_held_out(tmp_path, tuned)

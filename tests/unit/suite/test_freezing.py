@@ -21,7 +21,7 @@ from shift3d.suite.freezing import Frozen, freeze_suite
 from shift3d.suite.frozen import manifest_bytes, read_suite
 from shift3d.suite.scoring import Scorer, score_suite
 from shift3d.sweep.execution.worker import completed_rows
-from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import load_assets
 from shift3d.task.run import run_task
@@ -132,6 +132,19 @@ def test_referenced_frames_are_made_again_and_must_be_the_same(frozen: Frozen, s
         read_suite(tmp_path, root=str(tmp_path / "elsewhere")).background(name)
 
 
+def test_a_vehicle_of_another_kind_has_that_kinds_name_and_size(sweep: Path, tmp_path: Path) -> None:
+    """A search over kinds turns an SUV into a coupe: a gate says what is missed."""
+    plan = read_plan(sweep)
+    assets = load_assets(plan.assets[0])
+    coupe = assets.vehicles.vehicle("coupe")
+    own = read_table(sweep / "final" / "solutions.parquet", "solutions").to_pylist()[0]
+    turned = own | {"drawn_as": "coupe", "latent_code": coupe.latent_code.tolist()}
+    writing = freezing._Writing(as_location(tmp_path), "referenced", "")
+    rows = [freezing._object(plan.tasks[0].spec, row, assets, writing)[0] for row in (own, turned)]
+    assert [row["vehicle"] for row in rows] == ["suv", "coupe"]
+    assert rows[1]["dx_m"] == coupe.size_m[0] != rows[0]["dx_m"]
+
+
 def test_controls_alone_are_no_suite(sweep: Path, tmp_path: Path) -> None:
     """A gate would score them all, and find nothing to say."""
     other = Path(shutil.copytree(sweep, tmp_path / "other"))
@@ -160,6 +173,7 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
     ]  # fmt: skip
     fine = [{"score": 0.01 * number, "stable": True} for number in range(20)]
     fine[7] |= {"status": "diverged"}  # what it found before counts
+    fine[8] |= {"mode": "pose", "natural": False}  # a car that the reference set lacks, moved
     rows = [{**one, **change, "task_id": f"{number:032x}"} for number, change in enumerate([*fine, *faults])]
     rows = [{key: _plain(value) for key, value in row.items()} for row in rows]
     write_table(tmp_path / "final" / "scores.parquet", table_from_rows("scores", rows))

@@ -42,6 +42,13 @@ def test_the_spec_holds_what_the_catalogue_says(suv_plan: Plan) -> None:
     assert (spec.attack.steps, spec.alpha, spec.placement.min_object_points) == (40, 0.01, 300)
 
 
+def test_common_settings_are_those_of_every_task(default_plan: Plan) -> None:
+    common = default_plan.common_settings
+    assert (default_plan.settings["attack"]["lambda"], default_plan.settings["vehicle"]["name"]) == (1.0, "coupe")
+    assert common.keys() == default_plan.settings.keys() - {"vehicle", "mode"}
+    assert common["attack"] == {n: v for n, v in default_plan.settings["attack"].items() if n != "lambda"}
+
+
 def test_execution_settings_change_no_id(suv_plan: Plan) -> None:
     words = [*BOTH_LAMBDAS, "vehicle=suv", "runner=local", "tracking=none", "scenes.count=9"]
     assert make_plan(compose_sweep("default", words), catalogue)[0].spec_hash == suv_plan.spec_hash

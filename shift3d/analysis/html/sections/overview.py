@@ -61,7 +61,7 @@ def _facts(sweep: Sweep) -> dict[str, str]:
     ran = _counts((group.tasks, group.template.effects) for group in groups)
     pairs = dict.fromkeys((spec.detector, spec.scored_by) for spec in specs)
     by_dataset = Counter(dataset for dataset, _ in sorted(plan.tasks.scenes()))
-    attack = plan.settings.get("attack", {})
+    attack = plan.common_settings.get("attack", {})
     return {
         "Sweep": f"{plan.sweep}, hash {plan.spec_hash}",
         "Tasks": f"{len(plan.tasks)}: {', '.join(f'{count} {mode}' for mode, count in modes.items())}",
@@ -73,7 +73,7 @@ def _facts(sweep: Sweep) -> dict[str, str]:
         "Effects requested, by tasks": ", ".join(f"{name} ({count})" for name, count in requested.items()),
         "Effects that ran, by tasks": ", ".join(f"{name} ({count})" for name, count in ran.items())
         or "none: occlusion alone, as the paper",
-        "Attack": ", ".join(f"{name} {attack[name]}" for name in _SETTINGS if name in attack),
+        "Attack": ", ".join(f"{name} {attack[name]}" for name in _SETTINGS if name in attack) or "see the axes",
     }
 
 

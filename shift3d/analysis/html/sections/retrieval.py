@@ -14,8 +14,8 @@ from shift3d.analysis.html.blocks import Block, Command, Heading, Panels, Paragr
 from shift3d.analysis.html.scene_figures import side_by_side
 from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
 from shift3d.analysis.html.sections.gallery import THREE_RGB, drawn
-from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.retrieval import kept, kin_of, pool_table, retrieval_table
+from shift3d.analysis.results import Sweep, places_of
+from shift3d.analysis.tables.retrieval import controls_of, kept, kin_of, pool_table, retrieval_table
 from shift3d.naturalness.decoded import decoded_mesh
 from shift3d.wording import counted
 
@@ -27,10 +27,9 @@ _LEAD = (
     "as far and by as many points, in the same place. In the log: before the pool's detector where they stand."
 )
 _CURVES = {
-    "score_baseline": ("baseline", COLOURS["baseline"], "solid"),
-    "score_solution": ("adversarial", COLOURS["adversarial"], "solid"),
-    "score": ("retrieved", COLOURS["random"], "solid"),
-    "control": ("controls", COLOURS["random_budget"], "dash"),
+    "score_baseline": ("baseline", COLOURS["baseline"]),
+    "score_solution": ("adversarial", COLOURS["adversarial"]),
+    "score": ("retrieved", COLOURS["random"]),
 }
 
 
@@ -47,17 +46,18 @@ def retrieval(sweep: Sweep, loaded: Loaded) -> list[Block]:
         shown = own.iloc[random_positions(len(own), _COUNT, sweep.plan.spec_hash)].to_dict("records")
         tiles = [_kin_tile(sweep, row, loaded) for row in shown]
         heading = "Baseline, adversarial and retrieved vehicle, of solutions drawn at random"
-        blocks += [Panels([_curves(own)]), Heading(heading), Panels(tiles, "tiles")]
+        controls = controls_of(sweep.retrieved)
+        controls = controls[controls["scored_by"] == controls["detector"]]
+        blocks += [Panels([kin_curves(own, controls)]), Heading(heading), Panels(tiles, "tiles")]
     return blocks
 
 
-def _curves(rows: pd.DataFrame) -> Plot:
-    found = []
-    for column, (name, colour, dash) in _CURVES.items():
-        scored = rows[rows[column].notna()]
-        found.append(RecallCurve(name, scored[column], scored["place"], colour, dash))
-    caption = f"Threshold-recall of {counted(len(rows), 'solution')} with natural kin, in the same place"
-    return recall_plot("curve-retrieval", found, caption, caption)
+def kin_curves(rows: pd.DataFrame, controls: pd.DataFrame) -> Plot:
+    """Curves of solutions, what stood there before, their kin (all in `rows`, of `kept`), and of every control."""
+    found = [RecallCurve(name, rows[column], rows["place"], colour) for column, (name, colour) in _CURVES.items()]
+    found.append(RecallCurve("controls", controls["score"], places_of(controls), COLOURS["random_budget"], "dash"))
+    label = f"Threshold-recall of {counted(len(rows), 'solution')} with natural kin, in the same place"
+    return recall_plot("curve-retrieval", found, label, f"{label}; bands redraw the solutions' scenes alone")
 
 
 def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> Picture:

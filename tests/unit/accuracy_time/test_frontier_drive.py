@@ -1,0 +1,35 @@
+"""From places to a measured frontier: what is wrong is said first, and what was measured belongs to its code."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from shift3d.accuracy_time import drive
+from shift3d.cli.commands import frontier
+from shift3d.errors import InputError
+
+_MEASURES_NOTHING = {
+    *("effects", "errors", "exit_codes", "naturalness", "progress_bar", "seeding", "settings", "store", "training"),
+    "wording",
+}
+"""Reads settings, keeps tables, words texts, draws places (which are part of a case), or is of other tasks alone."""
+
+
+def test_a_case_without_a_place_is_said_before_another_is_measured(tmp_path: Path) -> None:
+    words = ["scenes.count=1", "frontier.cases=[{vehicle:suv,range_m:15},{vehicle:omnibus,range_m:20}]"]
+    config = frontier._config(words)
+    plan, _ = frontier.plan_of(config, "^draft$", quick=False)
+    with pytest.raises(InputError, match="omnibus"):
+        drive.measure_frontier(frontier.groups_of(config), plan, tmp_path, False, lambda *_: None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_was_measured_is_measured_again_after_a_change_of_what_it_is_made_with() -> None:
+    listing = "import sys, shift3d.accuracy_time.drive; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", listing], capture_output=True, text=True, check=True).stdout.split()
+    rooms = {name.split(".")[1] for name in loaded if name.startswith("shift3d.")}
+    assert rooms - _MEASURES_NOTHING == {part.removesuffix(".py") for part in drive._CODE}
