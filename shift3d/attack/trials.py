@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.attack.objective import latent_distance
@@ -62,6 +63,15 @@ class Family:
 
     order: tuple[int, ...]
     of: Callable[[int], tuple[AttackProblem, Search]]
+
+
+def unusual_first(codes: NDArray[np.float32], known: NDArray[np.float32]) -> tuple[int, ...]:
+    """Numbers of codes (N, d), that farthest from the mean of the known ones (M, d) first.
+
+    What is rare is what a detector has learned least of. Source: our choice.
+    """
+    away = np.linalg.norm(codes.astype(np.float64) - known.mean(axis=0, dtype=np.float64), axis=1)
+    return tuple(np.argsort(-away, kind="stable").tolist())
 
 
 class Trials:

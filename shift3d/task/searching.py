@@ -18,7 +18,7 @@ from shift3d.attack.records import AttackResult
 from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
 from shift3d.attack.space import CodeSpace, edited_code, free_space, parameter_space, pca_space
-from shift3d.attack.trials import Family, Search
+from shift3d.attack.trials import Family, Search, unusual_first
 from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, require_planned
@@ -95,11 +95,7 @@ def _search(
 
 
 def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets) -> Family:
-    """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn.
-
-    Starts take the most unusual kind first: the one whose code lies farthest from the mean of all known codes. What is
-    rare is what a detector has learned least of. Source: our choice.
-    """
+    """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn."""
     budget = spec.attack.naturalness
     names = assets.vehicles.kinds()
     if budget:
@@ -118,9 +114,8 @@ def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTas
         here, others = placed(spec, problem), [(moved, placed(moved, own)) for moved, own in elsewhere]
         return here, _search(spec, here, others, assets, vehicle)
 
-    codes = np.stack([assets.vehicles.vehicle(name).latent_code for name in names]).astype(np.float64)
-    unusual = np.linalg.norm(codes - assets.vehicles.codes().mean(axis=0, dtype=np.float64), axis=1)
-    return Family(tuple(np.argsort(-unusual, kind="stable").tolist()), kind)
+    codes = np.stack([assets.vehicles.vehicle(name).latent_code for name in names])
+    return Family(unusual_first(codes, assets.vehicles.codes()), kind)
 
 
 def _budget(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> Callable[[Tensor], bool] | None:

@@ -18,7 +18,7 @@ from shift3d.attack.records import AttackResult
 from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
 from shift3d.attack.space import CodeSpace, free_space, pca_space
-from shift3d.attack.trials import Family, Search, Trials
+from shift3d.attack.trials import Family, Search, Trials, unusual_first
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import Placement, PlacementLimits, Site, place
 from shift3d.render import Beams, preset
@@ -209,13 +209,18 @@ def test_a_search_over_kinds_goes_on_with_the_kind_of_its_best_start(problem: At
     family, rng = two_kinds(problem), np.random.default_rng(3)
     found = descend_expectation(problem, family.of(0)[1], 9, 0.02, rng, placements=1, starts=5, family=family)
     drawn = found.trace[1:5]
-    # Each kind is drawn twice, at 0.2 from its own code; distances are those from the code of the start.
-    assert sum(step.latent_distance == pytest.approx(0.2, rel=1e-6) for step in drawn) == 2
+    # The kinds come in turn, the other one first; draws are 0.2 from their own kind's code, distances from the start's.
+    assert [step.latent_distance == pytest.approx(0.2, rel=1e-6) for step in drawn] == [False, True, False, True]
     best = min((step for step in drawn if step.valid), key=lambda step: step.loss)
     assert found.trace[5].loss == pytest.approx(best.loss, rel=1e-3)
     away = found.latent_code - problem.code0
     assert float(away.double().norm()) == pytest.approx(found.best.latent_distance, rel=1e-5)
     assert found.best.loss <= best.loss
+
+
+def test_the_most_unusual_kind_is_the_one_farthest_from_the_mean_of_the_known_codes() -> None:
+    known = np.array([[0, 0], [2, 0]], np.float32)
+    assert unusual_first(np.array([[1, 0.5], [1, -3], [4, 0], [1, 3]], np.float32), known) == (1, 2, 3, 0)
 
 
 def test_draws_over_kinds_hand_back_the_vehicle_of_the_best(problem: AttackProblem) -> None:
