@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,7 +46,7 @@ class Command:
         if self.options:
             self.options(parser)
         if self.words:
-            words = parser.add_argument("words", nargs="*", metavar=self.metavar, help=self.words)
+            words = parser.add_argument("words", nargs="*", default=[], metavar=self.metavar, help=self.words)
             if self.complete:
                 words.completer = self.complete  # type: ignore[attr-defined]
 
@@ -68,7 +69,9 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
         key, equals, value = word.partition("=")
         if not equals or key not in known:
             keys = ", ".join(f"{name}=" for name in known)
-            raise InputError(f"cannot read {word!r}", where=where, remedy=f"One of: {keys}")
+            close = difflib.get_close_matches(key, known, n=1)
+            hint = f"Did you mean {close[0]}=? " if equals and close else ""
+            raise InputError(f"cannot read {word!r}", where=where, remedy=f"{hint}One of: {keys}")
         if key in values:
             raise InputError(f"{key}= is given twice", where=where, remedy="Give it once")
         if not value.strip():

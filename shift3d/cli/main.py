@@ -73,7 +73,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     word = next((word for word in (sys.argv[1:] if arguments is None else arguments) if not word.startswith("-")), None)
     names = [command.name for command in COMMANDS]
     if word is not None and word not in names:
-        close = difflib.get_close_matches(word, names, n=1)
+        close = difflib.get_close_matches(word, [*names, "sweep status"], n=1)
         hint = f"Did you mean {close[0]!r}? " if close else ""
         parser.error(f"unknown command {word!r}. {hint}One of: {', '.join(names)}")
     parsed, rest = parser.parse_known_args(arguments)

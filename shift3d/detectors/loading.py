@@ -22,7 +22,8 @@ def load_detector(
     Raises: InputError for an unknown name or bad weights.
     """
     if name not in NETWORKS:
-        raise InputError(f"unknown detector {name!r}", where="detector", remedy=f"known: {', '.join(DETECTOR_NAMES)}")
+        remedy = f"One of: {', '.join([*DETECTOR_NAMES, *FOREIGN, OWN, ONNX])}"
+        raise InputError(f"unknown detector {name!r}", where="detector", remedy=remedy)
     file = Path(path).expanduser() if path is not None else WEIGHTS_FOLDER / f"{name}.safetensors"
     return TrainedDetector(load_network(file, name), precision)
 

@@ -136,6 +136,9 @@ def _try(detector: OwnDetector, where: str) -> None:
         raise InputError(f"{error.what}, given no points", error.where, error.remedy) from error
     if len(empty.logits) != len(first.logits):
         raise InputError(f"{len(empty.logits)} boxes without points, {len(first.logits)} with", where, _GUIDE)
+    # No detector of logits finds a vehicle in every box where there are no points; one of probabilities seems to.
+    if all(bool(((found.logits >= 0) & (found.logits <= 1)).all()) for found in (first, empty)):
+        raise InputError("its logits all lie between 0 and 1", where, "Return them before the sigmoid")
 
 
 def _checked(answer: Any, where: str) -> tuple[Tensor, Tensor]:

@@ -49,6 +49,8 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     if kind == "union_tag_invalid":
         tags_text = re.findall(r"'([^']+)'", first["ctx"]["expected_tags"])
         return choice_error(f"{field}.kind", str(first["ctx"]["tag"]), tags_text, where)
+    if kind == "model_type":
+        return InputError(f"{field} cannot be set as a whole", where, f"Set {field}.NAME=VALUE")
     if kind == "value_error":  # a rule between several fields: it says which, and what to do where it knows
         error_text, *remedies = first["ctx"]["error"].args
         message = error_text if field in ("", where) else f"{field}: {error_text}"

@@ -64,4 +64,4 @@ def read_safetensors(
             return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}, source  # noqa: SIM118
     except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that NumPy does not have
         what = f"not a readable safetensors file ({error})"
-        raise InputError(what, where=str(source), remedy="copy it again") from error
+        raise InputError(what, where=str(source), remedy="Copy it again") from error

@@ -66,10 +66,10 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
     root = Path(path).expanduser()
     if root.is_file():
         if root.suffix.lower() not in SUFFIXES:
-            raise InputError("not a mesh file", where=str(root), remedy=f"one of {', '.join(SUFFIXES)}")
+            raise InputError("not a mesh file", where=str(root), remedy=f"Give one of {', '.join(SUFFIXES)}")
         return [MeshFile(_slug(root.stem), root)]
     if not root.is_dir():
-        raise InputError("no such file or folder", where=str(root), remedy="a mesh or a folder of meshes")
+        raise InputError("no such file or folder", where=str(root), remedy="Give a mesh or a folder of meshes")
     below = list(_files_below(root))
     models = [file for file in below if file.parts[-2:] == SHAPENET_FILE.parts]
     found = [MeshFile(_slug(file.absolute().parents[1].name), file) for file in models]
@@ -77,11 +77,13 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
         files = [file for file in below if file.suffix.lower() in SUFFIXES]
         found = [MeshFile(_slug(file.relative_to(root).with_suffix("").as_posix()), file) for file in files]
     if not found:
-        raise InputError("no meshes below this folder", where=str(root), remedy=f"files: {', '.join(SUFFIXES)}")
+        raise InputError(
+            "no meshes below this folder", where=str(root), remedy=f"Give a folder with files {', '.join(SUFFIXES)}"
+        )
     found.sort(key=lambda mesh: (mesh.name, mesh.path))
     for first, second in itertools.pairwise(found):
         if first.name == second.name:
-            raise InputError(f"two meshes are named {first.name}", where=str(second.path), remedy="rename one")
+            raise InputError(f"two meshes are named {first.name}", where=str(second.path), remedy="Rename one")
     return found
 
 
@@ -117,7 +119,7 @@ def read_mesh(path: Path | str) -> trimesh.Trimesh:
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError("no such file", where=str(path), remedy="a mesh")
+        raise InputError("no such file", where=str(path), remedy="Give a mesh")
     suffix = path.suffix.lower()
     options: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", ".glb", ".gltf") else {}
     try:
@@ -128,20 +130,20 @@ def read_mesh(path: Path | str) -> trimesh.Trimesh:
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
     except Exception as error:  # every format's reader has its own errors for a broken file
         what = f"not a readable {suffix[1:].upper()} file ({type(error).__name__}: {str(error)[:200]})"
-        raise InputError(what, where=str(path), remedy="export it again") from error
+        raise InputError(what, where=str(path), remedy="Export it again") from error
     vertices = [np.asarray(part.vertices, np.float64) for part in parts]
     if any(part.shape[1:] != (3,) for part in vertices):
         # A line that lacks a number can make a reader take all of them for pairs.
-        raise InputError("vertices are not x, y, z", where=str(path), remedy="export it again")
+        raise InputError("vertices are not x, y, z", where=str(path), remedy="Export it again")
     starts = np.cumsum([0, *(len(part) for part in vertices)])
     faces = [np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=False)]
     if not sum(len(part) for part in faces):
-        raise InputError("the mesh has no faces", where=str(path), remedy="export triangles, not a point cloud")
+        raise InputError("the mesh has no faces", where=str(path), remedy="Export triangles, not a point cloud")
     mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise InputError("a face names a vertex that is not there", where=str(path), remedy="export it again")
+        raise InputError("a face names a vertex that is not there", where=str(path), remedy="Export it again")
     if not np.isfinite(mesh.vertices[np.unique(mesh.faces)]).all():
-        raise InputError("coordinates that are not finite", where=str(path), remedy="export it again")
+        raise InputError("coordinates that are not finite", where=str(path), remedy="Export it again")
     mesh.remove_unreferenced_vertices()
     return mesh
 

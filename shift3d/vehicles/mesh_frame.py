@@ -40,17 +40,19 @@ class MeshFrame:
     def __post_init__(self) -> None:
         for key, axis in (("forward", self.forward), ("up", self.up)):
             if axis not in AXES:
-                raise InputError(f"{key}={axis} is not an axis", where="orientation", remedy=f"{', '.join(AXES)}")
+                raise InputError(
+                    f"{key}={axis} is not an axis", where="orientation", remedy=f"One of: {', '.join(AXES)}"
+                )
         if self.forward[1] == self.up[1]:
             what = f"forward={self.forward} and up={self.up} lie on one axis"
-            raise InputError(what, where="orientation", remedy="two different axes of the file")
+            raise InputError(what, where="orientation", remedy="Give two different axes of the file")
         if (self.unit is None) == (self.length_m is None):
             given = "no scale is given" if self.unit is None else "unit and length_m are both given"
             raise InputError(given, where="scale", remedy="Give one of unit=m (or cm, mm, in) and length_m=4.5")
         if self.unit is not None and self.unit not in UNITS_M:
-            raise InputError(f"unknown unit {self.unit!r}", where="scale", remedy=f"{', '.join(UNITS_M)}")
+            raise InputError(f"unknown unit {self.unit!r}", where="scale", remedy=f"One of: {', '.join(UNITS_M)}")
         if self.length_m is not None and not LENGTH_M[0] <= self.length_m <= LENGTH_M[1]:
-            remedy = f"between {LENGTH_M[0]:g} and {LENGTH_M[1]:g} metres"
+            remedy = f"Give one between {LENGTH_M[0]:g} and {LENGTH_M[1]:g} metres"
             raise InputError(f"length_m={self.length_m:g} is no vehicle's", where="scale", remedy=remedy)
 
     def object_R_file(self) -> NDArray[np.float64]:
@@ -68,7 +70,7 @@ class MeshFrame:
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         extent = high - low
         if extent.min() < 1e-3 * extent.max() or extent.max() <= 0.0:
-            raise InputError("the mesh is flat", where=where, remedy="a vehicle has length, width and height")
+            raise InputError("the mesh is flat", where=where, remedy="A vehicle has length, width and height")
         self._check_direction(extent, where)
         scale = self.length_m / extent[0] if self.length_m is not None else UNITS_M[self.unit or "m"]
         if self.length_m is None:

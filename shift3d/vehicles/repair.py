@@ -82,7 +82,7 @@ def repaired(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, Repair
             share = float(mesh.volume / np.prod(np.ptp(mesh.vertices, axis=0)))
             if share < SOLID_SHARE:
                 what = f"the mesh encloses {100 * share:.0f} % of its box, too little for a vehicle"
-                raise InputError(what, where=where, remedy="leave it out: it is a part, a frame or a scene")
+                raise InputError(what, where=where, remedy="Leave it out: it is a part, a frame or a scene")
             return mesh, report
     outer, seal_m, off = wrapped(mesh, where)
     return outer, replace(

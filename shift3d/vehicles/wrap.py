@@ -50,7 +50,7 @@ def wrapped(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, float, 
         points, _ = trimesh.sample.sample_surface(surface, 5000, seed=np.random.default_rng(0))
         return surface, seals_m[best], distance_to_surface(np.asarray(points), mesh)
     what = f"the mesh encloses no solid, not even with gaps of {100 * LAST_SEAL_M:.0f} cm bridged"
-    raise InputError(what, where=where, remedy="close its holes by hand, or leave it out")
+    raise InputError(what, where=where, remedy="Close its holes by hand, or leave it out")
 
 
 def _closings(mesh: trimesh.Trimesh, seals_m: tuple[float, ...]) -> list[trimesh.Trimesh | None]:

@@ -51,7 +51,7 @@ def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
         state = load_file(path)
     except (SafetensorError, OSError, ValueError) as error:
         what = f"not a readable safetensors file: {error}"
-        raise InputError(what, where=str(path), remedy="copy it again") from error
+        raise InputError(what, where=str(path), remedy="Copy it again") from error
     expected = net.state_dict()
     if ANCHOR_SIZE in expected:  # a file without it was trained with the published one
         state.setdefault(ANCHOR_SIZE, torch.tensor(WAYMO_ANCHORS.size_m))
@@ -60,9 +60,9 @@ def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
         wanted = tuple(expected[name].shape) if name in expected else None
         if found != wanted:
             what = f"tensor {name} has shape {found}, the network has {wanted}"
-            raise InputError(what, where=str(path), remedy="use weights trained for these settings")
+            raise InputError(what, where=str(path), remedy="Use weights trained for these settings")
         if wrong := wrong_values(name, state[name], expected[name]):
-            raise InputError(f"tensor {name} {wrong}", where=str(path), remedy="copy it again, or train again")
+            raise InputError(f"tensor {name} {wrong}", where=str(path), remedy="Copy it again, or train again")
     net.load_state_dict(state)
     return net.eval()
 

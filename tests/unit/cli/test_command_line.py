@@ -65,6 +65,19 @@ def test_an_unknown_command_is_named_beside_the_one_that_is_meant(capsys: pytest
         assert "unknown command 'reprt'. Did you mean 'report'? One of: sweep, plan," in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["status", "outputs/a"], "Did you mean 'sweep status'?"),
+        (["verify"], "arguments are required: OUT\n"),
+    ],
+)
+def test_what_is_missing_on_the_line_is_named(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        parse(words)
+    assert says in capsys.readouterr().err
+
+
 def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     assert "examples:" in capsys.readouterr().out
@@ -77,7 +90,7 @@ def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["plan", "vehicle=sub"], "Did you mean 'suv'?"),
         (["export", "nowhere", "task=ID", "method=random", "to=x"], "it has no spec.yaml"),
         (["export", "nowhere", "task=ID", "method=random"], "to= is missing"),
-        (["export", "nowhere", "tusk=ID"], "cannot read 'tusk=ID'"),
+        (["export", "nowhere", "tusk=ID"], "cannot read 'tusk=ID'. Did you mean task=?"),
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=a"], "is not a whole number"),
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=²"], "is not a whole number"),
         (["fit", "car.glb", "unit=m", "out=x", "steps=²"], "is not a whole number"),

@@ -120,6 +120,7 @@ def body(answer: str, before: str = "") -> str:
         (body(f"({BOX}, (points * 0).sum()[None].sqrt())"), r"no finite gradient"),
         (body(f"({BOX}.expand(len(points), 7), points.sum(1))"), r"boxes \(0, 7\)"),
         (body(f"({BOX}, points.mean()[None])"), r"NaN or infinity in its answer, given no points"),
+        (body(f"({BOX}, points.sum()[None].sigmoid())"), r"between 0 and 1\. Return them before the sigmoid"),
         (body(f"({BOX}, points @ torch.ones(4))"), r"mine\.py, line 5: RuntimeError"),
     ],
 )

@@ -185,6 +185,7 @@ def test_configuration_names_no_code() -> None:
         (["detector=ssd"], "Did you mean 'sst'?"),
         (["detector.scored_by=[ssd]"], "Did you mean 'sst'?"),
         (["accuracy.render={step:0.05}"], "accuracy.render cannot be set as a whole"),
+        (["attack.placement=3"], "attack.placement cannot be set as a whole"),
         (
             ["scenes=kitti", "scenes.root=a", "scenes.sensor=hdl64"],
             "scenes.sensor is a setting of another option of scenes",

@@ -70,7 +70,10 @@ def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
         }
         marker, bars = {"size": 9, "color": COLOURS["adversarial"]}, {"type": "data", "symmetric": False, **ends}
         trace = marks([p.change.mean for p in shown], [p.name for p in shown], marker, error_x=bars)
-        layout = {"xaxis": axis(f"change, {unit}", zeroline=True), "yaxis": axis("", autorange="reversed")}
+        layout = {
+            "xaxis": axis(f"change, {unit}", zeroline=True, rangemode="tozero"),
+            "yaxis": axis("", autorange="reversed"),
+        }
         changes = ", ".join(f"{pattern.name} {pattern.change.mean:+.1f}" for pattern in shown)
         caption = f"Mean change in {name}, {label}"
         figures.append(plot(f"{key}-{name}", [trace], layout, f"{caption}: {changes}", caption, 60 + 34 * len(shown)))
