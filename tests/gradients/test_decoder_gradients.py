@@ -32,7 +32,7 @@ def drawing(decoder: Decoder, frame: Frame, beams: Beams) -> Callable[[Tensor, T
 
 
 def hit_beams(decoder: Decoder, code: Tensor, frame: Frame) -> Beams:
-    beams = Beams.from_arrays(*sector_scan((13.0, 2.0, -1.0), half_angle_rad=0.13, rays=9))
+    beams = Beams.from_arrays(*sector_scan((13.0, 2.0, -1.0), half_angle_rad=0.13, rays=7))
     with torch.no_grad():
         rows = torch.nonzero(drawing(decoder, frame, beams)(code, THETA).hit_mask).squeeze(1)
     assert len(rows) > 20

@@ -39,10 +39,9 @@ def job_of(folder: Path, dashboard_port: int) -> Path:
 
 
 def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
-    """How a small sweep is started on a running cluster, by Slurm and through the Jobs API."""
+    """How a small sweep is started by Slurm and through the Jobs API; job=ray_cluster: see test_installed_wheel."""
     words = f"mine {shlex.join(WORDS)} {ON_RAY}"
     return {
-        "cluster": f"shift3d sweep {words} job=ray_cluster out={folder / 'cluster'}",
         "slurm": f"bash {JOBS / 'slurm.sbatch'} {words} out={folder / 'slurm'}",
         "job": f"shift3d sweep {words} job={job_of(folder, dashboard_port)} out={folder / 'job'}",
     }

@@ -49,9 +49,9 @@ def start(drivers: Drivers, out: Location, *words: str, **environment: str) -> s
     return drivers._start([sys.executable, str(DRIVER), "sweep", "default", *QUICK, *words, f"out={out}"], environment)
 
 
-def run(drivers: Drivers, out: Location, *words: str) -> None:
+def run(drivers: Drivers, out: Location, *words: str, **environment: str) -> None:
     """One that ends well, in this process."""
-    code, _, errors = drivers.run_here(["sweep", "default", *QUICK, *words, f"out={out}"])
+    code, _, errors = drivers.run_here(["sweep", "default", *QUICK, *words, f"out={out}"], **environment)
     assert code == 0, errors
 
 
@@ -74,11 +74,18 @@ def test_killed_drivers_resume_in_the_bucket(drivers: Drivers, undisturbed: dict
     assert not list(drivers.folder.iterdir()), "nothing is written beside the bucket"
 
 
-def test_ray_workers_need_no_common_folder_and_change_no_byte(
-    drivers: Drivers, undisturbed: dict[str, bytes], out: Location
+def test_ray_workers_need_no_common_folder_and_a_task_that_does_not_come_back_counts_once(
+    drivers: Drivers, undisturbed: dict[str, bytes], out: Location, tmp_path: Path
 ) -> None:
-    run(drivers, out, "runner.workers=3")
-    assert len(committed(out)) == TASKS and final(out) == undisturbed
+    """The last task sleeps for an hour the first time that it is run. Nobody waits for that."""
+    slept = tmp_path / "slept"
+    hangs = {"SHIFT3D_TEST_HANGS": "beach_wagon/street_003/pose", "SHIFT3D_TEST_HANG_ONCE": str(slept)}
+    run(drivers, out, "runner.workers=2", "runner.batch_seconds=0.05", **hangs)
+    assert slept.exists()
+    assert len(committed(out)) == len(set(committed(out))) == TASKS
+    assert final(out) == undisturbed
+    attempts = read_table(out / "final" / "attempts.parquet", "attempts").to_pandas()
+    assert (attempts["outcome"] == "done").all() and attempts["attempt"].max() == 2
 
 
 def test_a_second_driver_stops_the_first_in_the_bucket(

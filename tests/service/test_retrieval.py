@@ -12,8 +12,12 @@ import pytest
 from shift3d.cli.main import main
 from shift3d.naturalness.decoded import decoded_mesh
 from shift3d.scenes.kitti.writing import frame_files
+from shift3d.settings.catalogue.reading import read_catalogue
+from shift3d.settings.compose import compose_sweep
 from shift3d.store.log_entries import read_log
 from shift3d.store.tables import read_table
+from shift3d.sweep.planning.plan import make_plan
+from shift3d.sweep.retrieval import build_pool, pool_plan
 from shift3d.vehicles.sources import VehicleSet
 
 SWEEP = ["sweep", "default", "vehicle=suv", "mode=shape", "attack.lambda=1", "scenes.count=1", "scenes.sensor=hdl64"]
@@ -70,8 +74,12 @@ def out(plain: Path, root: Path) -> Path:
     return folder
 
 
-def retrieval(out: Path, root: Path, pool: Path, runner: str = "runner=local") -> list[str]:
-    return ["retrieve", str(out), f"pool={pool}", "scenes=kitti", f"scenes.root={root}", runner]
+def retrieval(out: Path, root: Path, pool: Path) -> list[str]:
+    return ["retrieve", str(out), f"pool={pool}", *pool_of(root), "runner=local"]
+
+
+def pool_of(root: Path) -> list[str]:
+    return ["scenes=kitti", f"scenes.root={root}"]
 
 
 def test_the_pool_holds_every_labelled_vehicle_and_the_shapes_that_were_put_there(out: Path) -> None:
@@ -120,9 +128,12 @@ def test_again_runs_nothing_and_leaves_the_same_bytes(out: Path, root: Path) -> 
 def test_what_was_lost_in_part_resumes_and_two_workers_come_to_the_same_bytes(
     out: Path, plain: Path, root: Path, tmp_path: Path
 ) -> None:
+    """A frame each; that workers read a sweep's solutions is held by test_verification."""
     copy, pool = tmp_path / "copy", tmp_path / "pool"
     shutil.copytree(plain, copy)
-    assert main([*retrieval(copy, root, pool, "runner=ray"), "runner.workers=2"]) == 0
+    made, config = make_plan(compose_sweep("retrieval", [*pool_of(root), "runner.workers=2"]), read_catalogue)
+    assert build_pool(pool, pool_plan(made), config.runner).done == len(CARS)
+    assert main(retrieval(copy, root, pool)) == 0
     for name in ("vehicle_pool", "retrieved"):
         ours, theirs = (folder / "final" / f"{name}.parquet" for folder in (copy, out))
         assert ours.read_bytes() == theirs.read_bytes(), name

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from drivers import Drivers
 
@@ -28,23 +27,3 @@ def test_one_task_of_a_plan_is_shown_and_nothing_is_written(drivers: Drivers, un
     assert code == 2 and "0 tasks with an id that begins with 'nothing'" in errors
     with pytest.raises(ArithmeticError, match="no root"):  # a defect shows its traceback
         drivers.run("out", "--task", task, SHIFT3D_TEST_FAILS="coupe/street_000/shape")
-
-
-def test_a_task_that_does_not_come_back_is_given_out_again_and_counts_once(
-    drivers: Drivers, undisturbed: dict[str, bytes], tmp_path: Path
-) -> None:
-    """The last task sleeps for an hour the first time that it is run. Nobody waits for that."""
-    code, _, errors = drivers.run(
-        "out",
-        "runner.workers=2",
-        "runner.batch_seconds=0.05",
-        SHIFT3D_TEST_HANGS="beach_wagon/street_003/pose",
-        SHIFT3D_TEST_HANG_ONCE=str(tmp_path / "slept"),
-    )
-    assert code == 0, errors
-    assert (tmp_path / "slept").exists()
-    committed = drivers.committed("out")
-    assert len(committed) == len(set(committed)) == 60
-    assert drivers.final("out") == undisturbed
-    attempts = pd.read_parquet(drivers.folder / "out" / "final" / "attempts.parquet")
-    assert (attempts["outcome"] == "done").all() and attempts["attempt"].max() == 2

@@ -12,7 +12,7 @@ import valid_frames
 from shift3d.cli.main import main
 from shift3d.sweep.planning.folder import read_plan
 
-ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1", "attack.placement.attempts=1", "runner=local", "tracking=none"]
+ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1", "attack.placement.attempts=1", "naturalness=none"]
 BAD = {
     "000008": "5 bytes is not a whole number",
     "000009": "the frame is missing",
@@ -38,7 +38,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def words(root: Path, *more: str) -> list[str]:
-    return ["kitti", f"scenes.root={root}", "scenes.count=null", *ONE, *more]
+    return ["kitti", f"scenes.root={root}", "scenes.count=null", *ONE, "runner=local", "tracking=none", *more]
 
 
 def all_listed(text: str) -> bool:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -150,15 +148,3 @@ def test_set_names_and_unknown_names() -> None:
         StreetScenes(split="dev")
     with pytest.raises(InputError, match="count=0"):
         StreetScenes(count=0)
-
-
-def test_benchmark_seconds_per_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    """Printed, not asserted: the time belongs to the machine."""
-    for sensor in SENSOR_NAMES:
-        for index in range(2):
-            street_scene("test", 0, index, sensor)
-        start = time.perf_counter()
-        for index in range(2):
-            street_scene("test", 0, index, sensor)
-        with capsys.disabled():
-            print(f"\nstreet scene, {sensor}: {(time.perf_counter() - start) / 2:.3f} s after warm-up")

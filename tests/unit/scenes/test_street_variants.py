@@ -95,6 +95,14 @@ def test_weather_is_stated_as_not_yet_in_the_points() -> None:
         assert all(getattr(stated, name) == quiet for name, quiet in calm.items() if name != field)
 
 
+def nearest(values: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """(N,) where in a table the entry nearest to each value stands."""
+    order = np.argsort(table)
+    above = np.searchsorted(table[order], values).clip(1, len(table) - 1)
+    is_lower = values - table[order][above - 1] < table[order][above] - values
+    return order[above - is_lower]
+
+
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_every_beam_is_a_point_or_without_a_return(sensor: str) -> None:
     made = scene(sensor, range_image=True)
@@ -102,9 +110,8 @@ def test_every_beam_is_a_point_or_without_a_return(sensor: str) -> None:
     assert no_returns is not None and pixel is not None and no_returns.time_s is not None
     count = len(table.elevations_rad) * table.columns
     assert len(no_returns) + len(made.points) == count
-    row = np.abs(np.arcsin(no_returns.directions[:, 2])[:, None] - np.array(table.elevations_rad)).argmin(axis=1)
-    azimuth = np.arctan2(no_returns.directions[:, 1], no_returns.directions[:, 0])
-    column = np.abs(azimuth[:, None] - table.azimuths_rad()[None]).argmin(axis=1)
+    row = nearest(np.arcsin(no_returns.directions[:, 2]), np.array(table.elevations_rad))
+    column = nearest(np.arctan2(no_returns.directions[:, 1], no_returns.directions[:, 0]), table.azimuths_rad())
     cells = np.concatenate((row * table.columns + column, pixel[:, 0] * table.columns + pixel[:, 1]))
     np.testing.assert_array_equal(np.sort(cells), np.arange(count))
     np.testing.assert_allclose(no_returns.time_s, column * (table.turn_s / table.columns), atol=1e-7)

@@ -23,25 +23,23 @@ ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]  # the sweep file's own a
 SWEEPS = [
     ["vehicle=suv,coupe"],
     ["mode=pose", "attack.lambda=0.1,10", "vehicle=suv"],
-    [*ONE, "attack.steps=range(10,40,10)", "accuracy=draft,paper"],
+    [*ONE, "attack.steps=range(10,30,10)", "accuracy=draft,paper"],
     [*ONE, "accuracy.render.step_m=0.05,0.1", "accuracy=draft,paper", "scenes.sensor=hdl64"],
     ["vehicle=glob(c*)", "mode=pose", "attack.lambda=1"],
     [*ONE, "scene='street a','street b'"],
     # Groups that are axes together with settings of their options, whichever is named first.
-    [*ONE, "attack=short,paper", "attack.alpha=0.01,0.1"],
-    [*ONE, "attack.steps=3,4", "attack=short,paper"],
+    [*ONE, "attack=short,paper", "attack.steps=3,4"],
     ["vehicle=suv", "mode=pose", "attack.lambda=1", "effects=none,auto", "replicate=range(2)"],
     # Ranges: a step, none, downwards, of floats; choices named as such, with a name, sorted and shuffled in the file.
-    [*ONE, "seed=range(0,6,3)", "attack.alpha=range(0.1,0.4,0.1)"],
-    [*ONE, "seed=range(start=5,stop=1,step=-2)", "replicate=choice(0,2,1)"],
-    [*ONE, "seed=sort(3,1,2)", "attack.alpha=sort(0.1,0.3,reverse=true)"],
+    [*ONE, "seed=range(0,6,3)", "attack.alpha=range(0.1,0.3,0.1)"],
+    [*ONE, "seed=range(start=5,stop=1,step=-2)", "replicate=choice(2,1)"],
+    [*ONE, "seed=sort(3,1)", "attack.alpha=sort(0.1,0.3,reverse=true)"],
     # Choices of lists and of mappings, of texts with commas, of null.
     [*ONE, "detector.scored_by=[pointpillars],[pointpillars,sst],null"],
     [*ONE, "detector.scored_by=choice([sst],[])", "scene=null,north"],
     [*ONE, "scene='a,b',\"c d\""],
     # Globs of options, with some left out.
-    ["vehicle=glob([c*,s*],exclude=[set,sports*])", "mode=pose", "attack.lambda=1,10"],
-    ["vehicle=glob(*,exclude=[deepsdf,set,wide])", "mode=pose", "attack.lambda=1"],
+    ["vehicle=glob([c*,s*],exclude=[set,sports*])", "mode=pose", "attack.lambda=1"],
 ]
 
 
@@ -204,7 +202,7 @@ def test_configuration_names_no_code() -> None:
 )
 def test_bad_settings_are_one_line_with_a_remedy(overrides: list[str], message: str) -> None:
     with pytest.raises(InputError) as failure:
-        list(expand(compose_sweep("default", overrides)))
+        list(expand(compose_sweep("default", ["vehicle=suv", *overrides])))  # one of five: an axis is composed by value
     assert message in str(failure.value)
     assert "\n" not in str(failure.value)
     assert failure.value.where == "sweep default"

@@ -13,12 +13,12 @@ from shift3d.task.assets import Assets
 from shift3d.task.audit import AUDITED_BEAMS, audit
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import Candidate, Scored, score_object
-from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
+from shift3d.task.spec import AttackSpec, TaskSpec
 
 
 @pytest.fixture(scope="module")
 def case(assets: Assets) -> tuple[TaskSpec, AttackProblem, Candidate, Scored]:
-    spec = make_spec(attack=AttackSpec(steps=1), placement=PlacementSpec(max_range_m=25.0))
+    spec = make_spec(attack=AttackSpec(steps=1))
     placement = place_vehicle(spec, assets)
     problem = build_problem(spec, assets, placement.theta)  # type: ignore[union-attr]
     candidate = Candidate("baseline", 0, problem.code0, problem.theta0)

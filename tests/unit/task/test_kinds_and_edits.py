@@ -28,7 +28,7 @@ def wide() -> Assets:
 
 
 def test_a_search_over_kinds_says_as_which_vehicle_its_shape_is_drawn(wide: Assets) -> None:
-    attack = AttackSpec(steps=4, random_replicates=0, noise_replicates=1, search="random", space="family")
+    attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=1, search="random", space="family")
     spec = make_spec(vehicle="sedan", lambda_=0.0, attack=attack)
     found = run_task(spec, wide)
     drawn_as = {row["method"]: row["drawn_as"] for row in found.solutions}
@@ -76,7 +76,7 @@ def test_a_search_that_cannot_go_over_kinds_is_refused() -> None:
 def test_a_vehicle_without_parameters_is_a_kind_of_its_own() -> None:
     """Its shape moves along the principal components of the set's codes; its length is its own."""
     assets = load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": None}))
-    attack = AttackSpec(steps=4, random_replicates=0, noise_replicates=0, search="random", space="family", components=6)
+    attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family", components=6)
     found = run_task(make_spec(vehicle="suv", lambda_=0.0, attack=attack), assets)
     (solution,) = (row for row in found.solutions if row["method"] == "adversarial")
     vehicle = assets.vehicles.vehicle(solution["drawn_as"])

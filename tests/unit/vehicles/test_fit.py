@@ -98,6 +98,7 @@ def test_what_closing_a_mesh_took_is_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    monkeypatch.setattr(orientation, "STEPS", 1)
     cube = trimesh.creation.box((4.0, 4.0, 4.0))
     cube.update_faces(np.arange(len(cube.faces)) > 0)
     cube.export(tmp_path / "cube.ply")

@@ -156,13 +156,13 @@ def test_wider_gaps_take_a_wider_seal() -> None:
 
 
 def test_overlapping_solids_become_their_union() -> None:
-    cabin = body((2.0, 1.6, 1.0), (0, 0, 0.7))
-    both = trimesh.util.concatenate([body(), cabin])
+    cabin = body((1.0, 0.8, 0.6), (0, 0, 0.4))
+    both = trimesh.util.concatenate([body(SMALL), cabin])
     assert sided_share(both) < 0.99
     mesh, report = repaired(both, "both")
     assert report.watertight
     assert report.wrapped
-    assert mesh.volume == pytest.approx(np.prod(SIZE) + 2.0 * 1.6 * 0.5, rel=0.01)
+    assert mesh.volume == pytest.approx(np.prod(SMALL) + 1.0 * 0.8 * 0.3, rel=0.01)
     assert sided_share(mesh) > 0.999
 
 

@@ -27,7 +27,7 @@ from shift3d.errors import InputError
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 # What the tests' own process ignores, as SIGHUP under nohup, its children would ignore too.
 UI = ["env", "--default-signal=HUP,INT,TERM", sys.executable, "-m", "shift3d", "ui", "--port", "0"]
-SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGKILL)
+SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)  # SIGKILL: it is one process
 Server = tuple[subprocess.Popen[str], str]
 
 
