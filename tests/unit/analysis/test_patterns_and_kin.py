@@ -5,14 +5,17 @@ from __future__ import annotations
 import base64
 import json
 import re
+import types
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from analysed import blocks_html
 from scipy.stats import t
 
 from shift3d.analysis.html.sections.curves import thresholds
+from shift3d.analysis.html.sections.patterns import patterns
 from shift3d.analysis.html.sections.retrieval import kin_curves
 from shift3d.analysis.mlflow.sweep import follow_up_metrics
 from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
@@ -51,6 +54,14 @@ def test_a_change_that_all_share_is_a_point_and_clear() -> None:
     assert not by_name["length"].clear and by_name["length"].size == 0.0
     ((_, few),) = pattern_groups(measured([-8.0] * 5), poses({}, 0.0).iloc[:0])
     assert not any(pattern.clear for pattern in few) and "fewer than 6 scenes" in str(patterns_table("Changes", few))
+
+
+def test_a_figure_of_changes_shows_where_none_is() -> None:
+    """A car that moved 20 cm back and 10 cm to the right, without 0 on the axis, could as well have moved ahead."""
+    moved = poses({"x_m": -0.2, "y_m": -0.1}, 0.0)
+    sweep = types.SimpleNamespace(patterns=measured([0.0]).iloc[:0], scores=moved)
+    html = blocks_html(patterns(sweep))  # type: ignore[arg-type]
+    assert "Mean change in centimetres" in html and '"rangemode":"tozero"' in html.replace(" ", "")
 
 
 def test_what_differs_from_scene_to_scene_has_an_interval_around_its_mean() -> None:
