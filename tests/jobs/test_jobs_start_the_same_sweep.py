@@ -87,12 +87,12 @@ def test_a_job_hands_the_exit_code_of_its_sweep_on(
     environment: dict[str, str], dashboard_port: int, tmp_path: Path
 ) -> None:
     command = f"shift3d sweep nothing job={job_of(tmp_path, dashboard_port)} out={tmp_path / 'out'}"
-    done = subprocess.run(
-        ["bash", "-c", command], env=environment, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 2 and "nothing" in done.stdout, done
     other = {**environment, "RAY_AUTH_TOKEN": "0" * 64}
-    refused = subprocess.run(
-        ["bash", "-c", command], env=other, capture_output=True, text=True, timeout=120, check=False
+    done, refused = (
+        subprocess.Popen(["bash", "-c", command], env=known, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for known in (environment, other)
     )
-    assert refused.returncode == 2 and "the job cannot be submitted" in refused.stderr, refused
+    printed, errors = done.communicate(timeout=120)
+    assert done.returncode == 2 and "nothing" in printed, (printed, errors)
+    printed, errors = refused.communicate(timeout=120)
+    assert refused.returncode == 2 and "the job cannot be submitted" in errors, (printed, errors)

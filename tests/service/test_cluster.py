@@ -83,19 +83,24 @@ def test_a_node_that_goes_and_one_that_comes_change_nothing(
     assert f"{socket.gethostname()}:{came}" in set(attempts.loc[attempts["outcome"] == "done", "worker"])
 
 
-def test_a_node_that_cannot_load_is_left_out_and_named(
-    cluster: Cluster,
-    machines: Path,
-    drivers: Drivers,
-    undisturbed: dict[str, bytes],
-    monkeypatch: pytest.MonkeyPatch,
+def test_files_that_only_the_driver_has_travel_and_a_node_that_cannot_load_is_left_out_and_named(
+    cluster: Cluster, machines: Path, drivers: Drivers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The folder is named from where the driver stands; the workers stand elsewhere."""
     for mark in machines.glob("gate*"):
         mark.unlink()
+    mine = drivers.folder / "mine"
+    mine.mkdir()
+    (mine / "vehicles.safetensors").write_text("not read by this kind of task")
+    (mine / "sdf.safetensors").write_text("0.25")
+    assert not Path("mine").exists(), "the nodes were started here, and would find it"
+    code, _, errors = drivers.run("here", "vehicle.folder=mine", "runner=local", SHIFT3D_TEST_GATE="")
+    assert code == 0, errors
     monkeypatch.setenv("SHIFT3D_TEST_DATA", "/nowhere/data")
     lame = cluster.add_node(**node())
     try:
-        driver = drivers.start("out", "runner.commit_seconds=0", f"runner.address={cluster.address}")
+        settings = ("runner.commit_seconds=0", f"runner.address={cluster.address}")
+        driver = drivers.start("out", "vehicle.folder=mine", *settings)
         # The others wait at a task until it has failed.
         status = drivers.folder / "out" / "status.json"
         deadline = time.monotonic() + 90
@@ -113,24 +118,8 @@ def test_a_node_that_cannot_load_is_left_out_and_named(
     assert driver.returncode == 0, errors
     assert errors.count(line) == 1, errors
     assert line in output, "the report does not name it"
-    assert drivers.final("out") == undisturbed
+    assert drivers.final("out") == drivers.final("here")
     attempts = pd.read_parquet(drivers.folder / "out" / "final" / "attempts.parquet")
     assert set(attempts["outcome"]) == {"done", "not_loaded"} and not attempts["quarantined"].any()
-
-
-def test_files_that_only_the_driver_has_travel_to_the_workers(
-    cluster: Cluster, machines: Path, drivers: Drivers
-) -> None:
-    """The folder is named from where the driver stands; the workers stand elsewhere."""
-    (machines / "gate").touch()
-    mine = drivers.folder / "mine"
-    mine.mkdir()
-    (mine / "vehicles.safetensors").write_text("not read by this kind of task")
-    (mine / "sdf.safetensors").write_text("0.25")
-    assert not Path("mine").exists(), "the nodes were started here, and would find it"
-    for out, runner in (("here", "runner=local"), ("there", f"runner.address={cluster.address}")):
-        code, _, errors = drivers.run(out, "vehicle.folder=mine", runner)
-        assert code == 0, errors
-    assert drivers.final("there") == drivers.final("here")
     (kept,) = (machines / "home" / ".shift3d" / "files").glob("*/sdf.safetensors")
-    assert kept.read_text() == "0.25", "two workers, one copy"
+    assert kept.read_text() == "0.25", "three workers, one copy"

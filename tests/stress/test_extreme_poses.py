@@ -15,14 +15,14 @@ from shift3d.render.solvers.roots import find_roots
 
 @pytest.fixture(scope="module")
 def outcomes() -> list[Outcome]:
-    return [run_case(number) for number in range(60)]
+    return [run_case(number) for number in range(40)]
 
 
-def test_sixty_extreme_poses_and_codes_are_sound(outcomes: list[Outcome]) -> None:
+def test_forty_extreme_poses_and_codes_are_sound(outcomes: list[Outcome]) -> None:
     assert [outcome for outcome in outcomes if not outcome.sound] == []
     totals = summary(outcomes)
     # They are what they claim to be: some meet the object, some start inside it.
-    assert totals["hits"] > 500 and totals["unresolved"]["sensor inside the object"] > 100
+    assert totals["hits"] > 300 and totals["unresolved"]["sensor inside the object"] > 60
     assert totals["beams_that_passed_a_surface"] == 0 < totals["beams_looked_along"]
 
 

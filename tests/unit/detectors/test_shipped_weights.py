@@ -91,7 +91,7 @@ SHIPPED = [name for name in DETECTOR_NAMES if (WEIGHTS_FOLDER / f"{name}.safeten
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_scores_are_the_same_to_the_bit(name: str) -> None:
-    """Ten runs, each with the points in another order, on one thread; and to rounding on two."""
+    """Five runs, each with the points in another order, on one thread; and to rounding on two."""
     detector, street = shipped(name), streets("waymo_top")[0]
     points = torch.from_numpy(street.points[street.has_beam]) - torch.tensor([0.0, 0.0, street.ground_z_m])
     vehicle = street.labels.boxes[street.labels.mask("vehicle")][0]
@@ -101,7 +101,7 @@ def test_scores_are_the_same_to_the_bit(name: str) -> None:
         torch.set_num_threads(1)
         first = _scores(detector, points, window)
         assert first.max() - first.min() > 0.1
-        for seed in range(9):
+        for seed in range(4):
             order = torch.randperm(len(points), generator=torch.Generator().manual_seed(seed))
             assert torch.equal(_scores(detector, points[order], window), first)
         torch.set_num_threads(2)

@@ -117,12 +117,12 @@ def test_a_part_that_comes_up_where_no_beam_came_nearest() -> None:
 
 
 def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_sees_them() -> None:
-    """The shipped decoder along a straight way through its codes, gradients wanted: 10 steps, 3 to 20 cm each."""
+    """The shipped decoder along a straight way through its codes, gradients wanted: 5 steps, 3 to 20 cm each."""
     decoder, vehicles, scale = load_decoder(), baseline_vehicles(), 0.1
     start, end = (torch.from_numpy(vehicles[name].latent_code) for name in ("coupe", "suv"))
     vehicle, settings, beams = vehicles["coupe"], preset("standard"), scan()
     warm, hits, lost = None, 0, 0
-    for step in range(11):
+    for step in range(6):
         code = (start + scale * step * (end - start)).requires_grad_()
         followed = render(beams, decoder.field(code), THETA, vehicle, settings, warm)
         with torch.no_grad():
@@ -133,7 +133,7 @@ def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_s
         warm = followed.warm
         assert followed.unresolved_beams == cold.unresolved_beams == 0
     assert warm is not None and warm.age > 0
-    assert hits > 5000 and lost <= 0.0005 * hits
+    assert hits > 2500 and lost <= 0.0005 * hits
 
 
 @pytest.mark.parametrize(

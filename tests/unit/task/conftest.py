@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
-from short_tasks import STREET, THERE, WIDE, make_spec
+from short_tasks import SHORT, STREET, THERE, WIDE, make_spec
 
 from shift3d.naturalness.build import load_reference
 from shift3d.naturalness.sources import reference_source
@@ -32,8 +33,9 @@ def pose(assets: Assets) -> TaskResult:
 
 @pytest.fixture(scope="session")
 def moved(assets: Assets) -> TaskResult:
-    """The shape task, and what it found put into another scene."""
-    return run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),)), assets)
+    """The search of the shape task, and what it found put into another scene."""
+    alone = dataclasses.replace(SHORT, random_replicates=0, noise_replicates=0)
+    return run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),), attack=alone), assets)
 
 
 @pytest.fixture(scope="session")

@@ -219,7 +219,7 @@ def test_a_step_that_is_not_finite_has_no_number_and_still_has_its_row() -> None
 
 
 def test_noise_is_as_far_as_its_share_of_the_way_to_the_solution(assets: Assets) -> None:
-    attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=3, noise_share=0.05)
+    attack = AttackSpec(steps=1, random_replicates=0, noise_replicates=1, noise_share=0.05)
     found = run_task(make_spec(attack=attack), assets)
     (way,) = (row["latent_distance"] for row in by_method(found, "adversarial"))
     codes = {row["method"]: torch.tensor(row["latent_code"]) for row in found.solutions}
