@@ -1,4 +1,4 @@
-"""shift3d from its wheel alone, in a folder that has nothing: a sweep of one's own, its report, and Ray workers."""
+"""shift3d from its wheel alone, in a folder that has nothing: a sweep of one's own, its report; and Ray workers."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_a_sweep_of_ones_own_in_an_empty_folder(python: Path, tmp_path: Path) ->
     (tmp_path / "sweeps" / "mine.yaml").write_text("defaults: [smoke, override /attack: tiny, _self_]\nmode: pose\n")
     (tmp_path / "conf" / "attack" / "tiny.yaml").write_text("defaults: [short, _self_]\nsteps: 1\n")
     words = ["mode=pose", "vehicle=suv", "accuracy=draft", "accuracy.render.sdf_grid=false", "naturalness=none"]
-    words += ["runner.workers=1", "tracking=none"]
+    words += ["runner=local", "tracking=none"]
     assert "out/final written" in run(python, tmp_path, "sweep", "mine", *words, "out=out", OMP_NUM_THREADS="1")
     scores = pd.read_parquet(tmp_path / "out" / "final" / "scores.parquet")
     assert set(scores["vehicle"]) == {"suv"} and scores["score"].notna().all()
