@@ -1,7 +1,6 @@
 """Whatever happens in the middle of a sweep: every task exactly once, and the bytes of the undisturbed run.
 
-A round is a fault, its moment and its victim, all by the round's number. Three rounds by default, each another fault
-and none with Ray, of whose faults test_failures, test_kill and test_cluster have one each;
+A round is a fault, its moment and its victim, all by the round's number. Four rounds by default, each another fault;
 SHIFT3D_FAULT_ROUNDS=50 runs as many, with and without Ray.
 """
 
@@ -17,7 +16,7 @@ from faults import FAULTS, TASKS, Round
 
 from shift3d.cli.main import main
 
-ROUNDS = int(os.environ.get("SHIFT3D_FAULT_ROUNDS", "3"))
+ROUNDS = int(os.environ.get("SHIFT3D_FAULT_ROUNDS", "4"))
 
 
 def make_round(number: int, drivers: Drivers) -> Round:
