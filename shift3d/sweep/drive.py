@@ -66,7 +66,7 @@ class SweepResult:
     """How a sweep ended.
 
     final: None where it was interrupted. left: tasks that the same call would run again. seconds: of this driver,
-    planning excluded. reused: tasks whose results this driver took over from other sweeps.
+    planning excluded. reused: tasks whose results this driver took over from other sweeps. ran: tasks that it ran.
     """
 
     folder: Location
@@ -77,6 +77,7 @@ class SweepResult:
     left: int
     seconds: float
     reused: int = 0
+    ran: int = 0
 
 
 def run_sweep(
@@ -125,7 +126,7 @@ def run_sweep(
     final = finish(folder, plan, log.entries) if complete else None
     seconds = time.monotonic() - began
     left_now = len(plan.tasks) - len(done) - (0 if again else len(quarantined))
-    return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), left_now, seconds, reused)
+    return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), left_now, seconds, reused, came)
 
 
 @contextlib.contextmanager

@@ -49,12 +49,13 @@ def test_the_final_tables_say_what_was_verified(out: Path) -> None:
     assert "Stability of default" in (out / "final" / "stability.html").read_text()
 
 
-def test_again_runs_nothing_and_leaves_the_same_bytes(out: Path) -> None:
+def test_again_runs_nothing_and_leaves_the_same_bytes(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = digests(out / "final")
     assert main(["verify", str(out), "runner=local"]) == 0
     assert digests(out / "final") == before
     assert sum(len(entry.done) for entry in read_log(out / "verification")) == 1
     assert main([*SWEEP, *SETTINGS, f"out={out}"]) == 0
+    assert "nothing is left to run" in capsys.readouterr().out
     assert digests(out / "final") == before
 
 
