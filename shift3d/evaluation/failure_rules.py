@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 DEPTH = 3
 """Most splits to a leaf: a rule of more conditions is read by nobody."""
-LEAST_SHARE, LEAST_OBJECTS = 0.05, 8
-"""A rule holds for so large a share of the objects, and for so many."""
+LEAST_SHARE, LEAST_OBJECTS = 0.025, 8
+"""A rule holds for so large a share of the objects, and for so many: a kind of the wide family has one in 34."""
 LEAST_DROP = 0.05
 """A rule's mean score lies so far below that of the other objects, where it was found."""
 
