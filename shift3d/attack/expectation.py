@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -17,6 +19,8 @@ SHIFT_M, TURN_RAD = 0.1, 0.02
 """Standard deviations of the placements that a loss is the mean over: a point of a beam's grid, a degree."""
 MOMENTA = (0.8, 0.95)
 """Of Adam: some twenty steps are too few for the usual 0.9 and 0.999."""
+KINDS_AGAIN = 3
+"""Kinds that the second half of the starts is drawn from, the best of the first half."""
 
 
 def descend_expectation(
@@ -40,8 +44,9 @@ def descend_expectation(
         rng: of the placements and the further starts.
         placements: that the mean is taken over, the object's own among them; drawn for every step.
         starts: the baseline, then draws from the space, an evaluation each; the descent begins at the best of them.
-        family: kinds that the draws are taken from in its order, and again from the first; the descent is over the kind
-            of the best. None: the draws are the search's own.
+        family: kinds that the draws are taken from: the first half one of each in its order, the second half in turn
+            of the three with the lowest losses. The descent is over the kind of the best. None: the draws are the
+            search's own.
     Returns: the valid step with the lowest loss of all: of a draw its own, of a step of the descent the mean.
     Source: expectation over transformation (Athalye et al. 2018) with Adam (Kingma and Ba 2015); our choice.
     """
@@ -74,15 +79,23 @@ def _turn_to_best_start(
 ) -> Search:
     """Try the baseline and draws from the kinds in turn; go on with the kind of the best, whose search it returns."""
     trials.evaluate(search.start, False)
-    kinds, turn = [(problem, search)], itertools.cycle(family.order if family else ())
+    kinds, lowest = [(problem, search)], dict[int, float]()
+    number: int | None = None
+    turn: Iterator[int] = iter(family.order[: math.ceil((starts - 1) / 2)] if family else ())
     for _ in range(starts - 1):
         within = trials.trace[-1].within_budget
         if within and family is not None:
-            problem, search = family.of(next(turn))
+            number = next(turn, None)
+            if number is None:
+                turn = itertools.cycle(sorted(lowest, key=lowest.__getitem__)[:KINDS_AGAIN] or family.order)
+                number = next(turn)
+            problem, search = family.of(number)
             trials.turn_to(problem, search)
         variable = search.draw(rng, FREE_DISTANCE) if within else search.project(trials.back())
         kinds.append((problem, search))
         trials.evaluate(variable, False)
+        if number is not None and trials.trace[-1].valid:
+            lowest[number] = min(lowest.get(number, math.inf), trials.trace[-1].loss)
     best = best_step(trials.trace)
     best = best if trials.trace[best].loss < trials.trace[0].loss else 0
     if kinds[best][1] is not search:

@@ -209,13 +209,28 @@ def test_a_search_over_kinds_goes_on_with_the_kind_of_its_best_start(problem: At
     family, rng = two_kinds(problem), np.random.default_rng(3)
     found = descend_expectation(problem, family.of(0)[1], 9, 0.02, rng, placements=1, starts=5, family=family)
     drawn = found.trace[1:5]
-    # The kinds come in turn, the other one first; draws are 0.2 from their own kind's code, distances from the start's.
-    assert [step.latent_distance == pytest.approx(0.2, rel=1e-6) for step in drawn] == [False, True, False, True]
+    # The other kind comes first; draws are 0.2 from their own kind's code, distances from the start's.
+    own = [step.latent_distance == pytest.approx(0.2, rel=1e-6) for step in drawn]
+    assert own[:2] == [False, True] and sorted(own[2:]) == [False, True], "each of the two again, the better one first"
+    assert own[2] == (drawn[1].loss < drawn[0].loss)
     best = min((step for step in drawn if step.valid), key=lambda step: step.loss)
     assert found.trace[5].loss == pytest.approx(best.loss, rel=1e-3)
     away = found.latent_code - problem.code0
     assert float(away.double().norm()) == pytest.approx(found.best.latent_distance, rel=1e-5)
     assert found.best.loss <= best.loss
+
+
+def test_the_second_half_of_the_starts_is_of_the_three_best_kinds_of_the_first(problem: AttackProblem) -> None:
+    asked: list[int] = []
+    kinds = [shape_search(problem, weight) for weight in (5e3, 1e3, 3e3, 2e3, 4e3, 0.0)]
+
+    def kind(number: int) -> tuple[AttackProblem, Search]:
+        asked.append(number)
+        return problem, kinds[number]
+
+    family, rng = Family((4, 0, 3, 1, 2, 5), kind), np.random.default_rng(0)
+    descend_expectation(problem, kinds[0], 11, 0.02, rng, placements=1, starts=11, family=family)
+    assert asked == [4, 0, 3, 1, 2, *(1, 3, 2), *(1, 3)], "5, the best of all, had no turn"
 
 
 def test_the_most_unusual_kind_is_the_one_farthest_from_the_mean_of_the_known_codes() -> None:
