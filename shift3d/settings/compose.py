@@ -85,6 +85,7 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
             values = (base[key], *others)
         else:
             values = tuple(parse([f"{key}={text}"])[0].value() for text in texts)
+        _refuse_interpolations(list(values), where, key)
         axes.append(Axis(key, tuple(texts), values, is_group))
     # Groups first, as in Hydra, where a setting given by name wins over the option that it belongs to.
     return Composed(name, tuple(overrides), base, tuple(axes))

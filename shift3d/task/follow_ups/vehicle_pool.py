@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame
 from shift3d.detectors.base import Proposals
+from shift3d.errors import InputError
 from shift3d.geometry.iou import iou_bev
 from shift3d.retrieval.crops import Crop, crop_vehicles
 from shift3d.retrieval.reconstruction import Reconstructor
@@ -131,7 +132,8 @@ def _true_meshes(assets: Assets, name: str, crops: list[Crop]) -> Mapping[int, t
 
 
 def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> dict[int, float]:
-    """Best score of a box that overlaps each vehicle where it stands, 0 without one, by label."""
+    """Best score of a box that overlaps each vehicle where it stands, 0 without one, by label: beyond the detector's
+    grid, too."""
     if not crops:
         return {}
     boxes = np.stack([crop.box for crop in crops])
@@ -139,9 +141,13 @@ def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> 
     middle = (boxes[:, :2].min(axis=0) + boxes[:, :2].max(axis=0)) / 2
     reach = float(np.linalg.norm(boxes[:, :2] - middle, axis=1).max()) + SCORE_RADIUS_M
     detector = assets.detector_of(spec.detector, "float32")
+    try:
+        window = detector.window_for((float(middle[0]), float(middle[1])), reach)
+    except InputError:  # all of them stand there
+        return {crop.label: 0.0 for crop in crops}
     points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
     with torch.no_grad():
-        proposals = detector.proposals(points, detector.window_for((float(middle[0]), float(middle[1])), reach))
+        proposals = detector.proposals(points, window)
     return {crop.label: own_score(proposals, box) for crop, box in zip(crops, boxes)}
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from statistics import fmean
-from typing import Any
 
 import numpy as np
 import torch
@@ -41,7 +40,7 @@ class VerifyAssets:
     assets: Assets
     results: Location
     _tables: dict[str, RowsByTask] = field(default_factory=dict)
-    _baselines: dict[tuple[Any, ...], Verified] = field(default_factory=dict)
+    _baselines: dict[tuple[str, bytes, bytes], Verified] = field(default_factory=dict)
 
     def solutions(self, spec: TaskSpec) -> list[Solution]:
         """Every solution of a task with its scores, the baseline first; none where nothing could be placed.
@@ -81,17 +80,8 @@ class VerifyAssets:
         """`verify_object`, and whether it was done now: tasks of one vehicle in one scene share their baseline."""
         if solution.method != "baseline":
             return verify_object(spec, solution, problems), True
-        key = (
-            spec.vehicle,
-            spec.scene,
-            spec.scored_by,
-            spec.placement_seed,
-            spec.attack.detection_radius_m,
-            repr(sorted(spec.accuracy_settings.items())),
-            (spec.effects, repr(sorted(spec.effect_settings.items()))),
-            solution.code.numpy().tobytes(),
-            solution.theta.numpy().tobytes(),
-        )
+        # A sweep may hold results of two machines, which rounded differently.
+        key = (spec.baseline.task_id, solution.code.numpy().tobytes(), solution.theta.numpy().tobytes())
         new = key not in self._baselines
         if new:
             self._baselines[key] = verify_object(spec, solution, problems)

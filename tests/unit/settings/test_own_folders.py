@@ -70,6 +70,13 @@ def test_a_group_that_shift3d_does_not_have_is_refused(team: Path) -> None:
         list(expand(compose_sweep("smoke", ["+weather=wet"])))
 
 
+@pytest.mark.parametrize("words", ["mine", "mine,coupe", "coupe,mine"])
+def test_an_interpolation_is_refused_in_every_option_of_an_axis(team: Path, words: str) -> None:
+    write(team / "conf" / "vehicle" / "mine.yaml", "{kind: set, name: suv, folder: '${oc.env:HOME}/cars'}\n")
+    with pytest.raises(InputError, match=r"vehicle\.folder holds an interpolation"):
+        compose_sweep("smoke", [f"vehicle={words}"])
+
+
 def test_another_programs_settings_are_not_taken_for_ours(team: Path) -> None:
     write(team / "conf" / "config.yaml", "defaults: [model: resnet]\n")
     with pytest.raises(InputError, match=r"\./conf/config\.yaml: it would take the place of shift3d's own.*another"):

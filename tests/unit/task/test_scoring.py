@@ -9,8 +9,11 @@ from short_tasks import make_spec
 
 from shift3d.attack.baselines import noise_codes
 from shift3d.detectors.base import BevWindow, Proposals
+from shift3d.retrieval.crops import crop_vehicles
+from shift3d.scenes.scene import Labels
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets
+from shift3d.task.follow_ups import vehicle_pool
 from shift3d.task.follow_ups.vehicle_pool import own_score
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import Nearby, score_box, score_object
@@ -70,6 +73,15 @@ def test_no_box_and_a_box_that_is_no_number_are_no_score() -> None:
         detector = WholeScene(boxes, np.full(len(boxes), np.nan))
         found = score_box(torch.zeros(1, 3), OBJECT, 0.0, 5.0, {"whole": detector})["whole"]  # type: ignore[dict-item]
         assert found.score == 0.0 and own_score(detector.found, OBJECT) == 0.0
+
+
+def test_a_vehicle_of_a_pool_beyond_the_detectors_grid_has_no_score(assets: Assets) -> None:
+    spec = make_spec()
+    scene, _ = assets.scene(spec)
+    far = OBJECT + np.array([80.0, 0, 0, 0, 0, 0, 0])
+    labels = Labels(far[None], ("vehicle",), np.zeros(1, np.int32))
+    there = replace(scene, labels=labels)
+    assert vehicle_pool._scores(spec, assets, there, crop_vehicles(there)) == {0: 0.0}
 
 
 def test_a_box_centred_beyond_the_radius_still_suppresses() -> None:
