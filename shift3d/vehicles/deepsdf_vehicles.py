@@ -58,11 +58,11 @@ class DeepSdfVehicles(VehicleSource):
     ) -> None:
         self._folder = Path(folder).expanduser()
         self._checkpoint, self._code_norm = checkpoint, code_norm
-        self._forward, self._up = forward, up
-        self._lengths = {"": length_m} if isinstance(length_m, float | int) else dict(length_m)
-        self._lengths = {"" if key == "default" else key: float(length) for key, length in self._lengths.items()}
-        for length in self._lengths.values():
-            MeshFrame(forward, up, length_m=length)
+        lengths = {"default": length_m} if isinstance(length_m, float | int) else length_m
+        self._frames = {
+            "" if key == "default" else key: MeshFrame(forward, up, length_m=float(length))
+            for key, length in lengths.items()
+        }
         self._measured: dict[str, Vehicle] = {}
 
     @functools.cached_property
@@ -129,24 +129,18 @@ class DeepSdfVehicles(VehicleSource):
         return self._measured[name]
 
     def _measure(self, name: str, code: Tensor) -> Vehicle:
-        length_m = self._length_of(name)
-        sdf_R_object = MeshFrame(self._forward, self._up, length_m=length_m).object_R_file().T
+        frame = self._frame_of(name)
+        assert frame.length_m is not None
+        sdf_R_object = frame.object_R_file().T
         low, high = decoded_corners(code, self._scaled, sdf_R_object)
-        self._check_direction(high - low, sdf_R_object, name)
-        scale_m = round(float(length_m / (high - low)[0]), 4)
+        frame.check_direction(high - low, f"{self._folder}, {name}", "vehicle.")
+        scale_m = round(float(frame.length_m / (high - low)[0]), 4)
         values = code.numpy().astype(np.float32)
         return framed(name, name.split("_")[0], values, scale_m, sdf_R_object, low, high)
 
-    def _length_of(self, name: str) -> float:
-        fitting = [key for key in self._lengths if name.startswith(key)]
+    def _frame_of(self, name: str) -> MeshFrame:
+        fitting = [key for key in self._frames if name.startswith(key)]
         if not fitting:
             what = f"vehicle.length_m says nothing about {name}"
             raise InputError(what, where=str(self._folder), remedy="Add default=4.5 to it")
-        return self._lengths[max(fitting, key=len)]
-
-    def _check_direction(self, extent: NDArray[np.float64], sdf_R_object: NDArray[np.float64], name: str) -> None:
-        longest = int(np.argmax(extent))
-        if longest != 0:
-            axis = "xyz"[int(np.argmax(np.abs(sdf_R_object[:, longest])))]
-            what = f"{name} is longest along {axis}, not along vehicle.forward={self._forward}"
-            raise InputError(what, where=str(self._folder), remedy=f"Give vehicle.forward=+{axis} or -{axis}")
+        return self._frames[max(fitting, key=len)]
