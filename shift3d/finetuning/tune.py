@@ -145,7 +145,6 @@ def fine_tune(
     # In float16 a small rate's changes would be rounded away.
     export_weights(net, weights, recipe, halved=False)
     ended = read_checkpoint(options.out / CHECKPOINT)
-    assert ended is not None
     write_provenance(weights, _facts(found, method, recipe, (start, start_hash), compute, ended) | {"before": before})
     return weights
 

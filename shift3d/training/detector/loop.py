@@ -80,9 +80,9 @@ class _Run:
         self.began_s = time.monotonic() - self._resume()
 
     def _resume(self) -> float:
-        state = read_checkpoint(self.file)
-        if state is None:
+        if not self.file.is_file():
             return 0.0
+        state = read_checkpoint(self.file)
         for key, ours, what in (("recipe", repr(self.recipe), "recipe"), ("data", self.data, "set of scenes")):
             # Checkpoints from before `data` was written are of the shipped streets.
             if state.get(key, SHIPPED_DATA) != ours:

@@ -78,7 +78,6 @@ def train_detector(
     weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
     export_weights(net, weights_file, recipe)
     state = read_checkpoint(out_dir / CHECKPOINT)
-    assert state is not None
     started = {"started_from": None if begun_with is None else begun_with.name, "before": before}
     write_provenance(weights_file, started | _facts(recipe, scenes, compute, state))
     return load_weights(recipe.new_network(), weights_file)

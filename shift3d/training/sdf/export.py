@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.store.arrays import write_safetensors
@@ -89,8 +88,6 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
     Source: SHIFT3D section "Experiments": five representative vehicles, scaled to realistic dimensions.
     """
     state = read_checkpoint(Path(checkpoint))
-    if state is None:
-        raise InputError("no such checkpoint", where=str(checkpoint), remedy='make train ARGS="model=sdf"')
     recipe = state["recipe"]
     decoder, codes, factor = scaled_decoder(state)
     specs = family(int(recipe["shapes"]), int(recipe["seed"]))

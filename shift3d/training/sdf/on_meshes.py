@@ -154,8 +154,9 @@ def train_on_meshes(
 
 def is_exported(checkpoint: Path, out: Path) -> bool:
     """Whether the vehicle set is there, of these meshes, by this recipe, from the checkpoint's step."""
-    if not (out / VEHICLES_FILE).is_file() or (state := read_checkpoint(checkpoint)) is None:
+    if not (out / VEHICLES_FILE).is_file():
         return False
+    state = read_checkpoint(checkpoint)
     try:
         facts = json.loads((out / FACTS_FILE).read_text(encoding="utf-8"))
         return bool((facts["recipe"], facts["step"]) == (state["recipe"], state["step"]))
@@ -172,7 +173,6 @@ def export_mesh_training(
     Raises: InputError when none draws one.
     """
     state = read_checkpoint(checkpoint)
-    assert state is not None
     decoder, codes, _ = scaled_decoder(state)
     vehicles, known, refused = [], [], dict(shapes.refused)
     rows = list(zip(shapes.facts, codes, shapes.samples.scale_m, strict=True))
@@ -208,9 +208,7 @@ def export_mesh_training(
 
 
 def _decoder(checkpoint: Path) -> Decoder:
-    state = read_checkpoint(checkpoint)
-    assert state is not None
-    return scaled_decoder(state)[0]
+    return scaled_decoder(read_checkpoint(checkpoint))[0]
 
 
 _Row = tuple[dict[str, Any], NDArray[np.float32], float]

@@ -145,7 +145,6 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
     Source: our choice.
     """
     state = read_checkpoint(checkpoint)
-    assert state is not None
     decoder = Decoder()
     decoder.load_state_dict(state["decoder"])
     basis = state["basis"].numpy().astype(np.float32)

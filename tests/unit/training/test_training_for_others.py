@@ -107,7 +107,7 @@ def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_tra
         train_on_scenes(tmp_path / "cut", recipe, files, report=curve.extend)
     assert signal.getsignal(signal.SIGTERM) is before
     state = read_checkpoint(tmp_path / "cut" / "checkpoint.pt")
-    assert state is not None and state["steps_done"] == 3
+    assert state["steps_done"] == 3
     resumed = train_on_scenes(tmp_path / "cut", recipe, files, report=curve.extend)
     for name, tensor in straight.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
