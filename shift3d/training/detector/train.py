@@ -19,7 +19,7 @@ from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_safetensors
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.compute import ONE_THREAD, Compute
 from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.warm_start import start_file, start_state
@@ -39,7 +39,7 @@ def train_detector(
     weights_file: Path | None = None,
     scenes: SceneSet | None = None,
     start_from: Path | None = None,
-    compute: Compute | None = None,
+    compute: Compute = ONE_THREAD,
     report: Report | None = None,
 ) -> DetectorNet:
     """The whole recipe: make scenes, train on them, then on those with inserted vehicles too, export.
@@ -57,7 +57,6 @@ def train_detector(
         vehicle, the checkpoint is of another recipe, other scenes or another start, or the training diverges: then
         weights_file stays as it was; KeyboardInterrupt when asked to stop.
     """
-    compute = compute or choose_compute("cpu")
     recipe.validate()
     begun_with = start_file(recipe, start_from)
     data = _identity(scenes, begun_with)

@@ -19,7 +19,7 @@ from torch import Tensor
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Architecture, Decoder
 from shift3d.seeding import derive_seed
-from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.compute import ONE_THREAD, Compute
 from shift3d.training.progress import Report
 from shift3d.training.sdf.loop import DecoderRun, run_to_end
 from shift3d.training.sdf_shapes import ShapeSamples, shape_samples
@@ -83,7 +83,7 @@ def train_sdf(
     recipe: SdfRecipe | None = None,
     checkpoint_every: int = 1000,
     samples: ShapeSamples | None = None,
-    compute: Compute | None = None,
+    compute: Compute = ONE_THREAD,
     report: Report | None = None,
 ) -> Path:
     """Train, or go on with a training, and leave `sdf.pt` (decoder, codes, recipe) in `out_dir`.
@@ -101,7 +101,6 @@ def train_sdf(
     """
     recipe = recipe or SdfRecipe()
     out = Path(out_dir)
-    compute = compute or choose_compute("cpu")
     compute.prepare()
     if samples is None:
         samples = shape_samples(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", compute.threads)
