@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -76,9 +76,8 @@ def train_detector(
     net = train_on_scenes(out_dir, recipe, base, inserted, **shared)
     weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
     export_weights(net, weights_file, recipe)
-    state = read_checkpoint(out_dir / CHECKPOINT)
     started = {"started_from": None if begun_with is None else begun_with.name, "before": before}
-    write_provenance(weights_file, started | _facts(recipe, scenes, compute, state))
+    write_provenance(weights_file, started | _made_of(recipe, scenes) | training_facts(out_dir, recipe, compute))
     return load_weights(recipe.new_network(), weights_file)
 
 
@@ -96,16 +95,23 @@ def _digest(scenes: SceneSet) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def _facts(recipe: Recipe, scenes: SceneSet | None, compute: Compute, state: Mapping[str, Any]) -> dict[str, Any]:
-    """The provenance of finished weights, beside what they started from."""
+def _made_of(recipe: Recipe, scenes: SceneSet | None) -> dict[str, Any]:
+    """The scenes and vehicles of a training, for its provenance."""
     names = [] if scenes is None else scenes.names()
     street = {"dataset": f"street-mixed-{TRAFFIC}", "split": "train", "count": recipe.mesh_scenes}
+    return {
+        "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
+        "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
+    }
+
+
+def training_facts(out_dir: Path, recipe: Recipe, compute: Compute) -> dict[str, Any]:
+    """What a provenance says of any training: recipe, steps, machine, time and curve, from its last checkpoint."""
+    state = read_checkpoint(out_dir / CHECKPOINT)
     return {
         "model": recipe.detector,
         "recipe": asdict(recipe),
         "steps": state["steps_done"],
-        "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
-        "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
         "compute": compute.facts(recipe.bfloat16) | {"steps_by_device": dict(state.get("steps_by_device", {}))},
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "curve": curve_facts(state.get("curve", [])),
