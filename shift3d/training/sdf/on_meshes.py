@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -141,13 +140,11 @@ def train_on_meshes(
     Returns: Chamfer distances of the vehicles to their meshes, cm, in the order of the meshes.
     Raises: InputError for meshes that cannot be used (see `mesh_shapes`), or another training's folder.
     """
-    start = time.monotonic()
     shapes = mesh_shapes(path, frame, SAMPLES_A_SHAPE, SEED, out / "shapes", compute.threads)
     recipe = mesh_recipe(shapes, steps)
     checkpoint = train_sdf(out, recipe, 250, shapes.samples, compute, report)
-    seconds = time.monotonic() - start
     if not is_exported(checkpoint, out):
-        export_mesh_training(checkpoint, shapes, frame, out, seconds, compute.threads)
+        export_mesh_training(checkpoint, shapes, frame, out, compute.threads)
     facts = json.loads((out / FACTS_FILE).read_text(encoding="utf-8"))
     return [vehicle["chamfer_cm"] for vehicle in facts["vehicles"]]
 
@@ -164,9 +161,7 @@ def is_exported(checkpoint: Path, out: Path) -> bool:
         return False
 
 
-def export_mesh_training(
-    checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, seconds: float, processes: int = 1
-) -> None:
+def export_mesh_training(checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, processes: int) -> None:
     """Decode every training shape, measure it against its mesh, picture both, and write the vehicle set.
 
     A code that draws no surface, as after a few steps, is left out and said so. Shapes are shared among processes.
@@ -198,7 +193,7 @@ def export_mesh_training(
         "chamfer_median_cm": float(np.median(chamfer_cm)),
         "chamfer_worst_cm": float(np.max(chamfer_cm)),
         "extraction_resolution": RESOLUTION,
-        "training_seconds": round(float(state.get("seconds", seconds)), 1),
+        "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "loss_every_100_steps": [round(float(loss), 6) for loss in state["losses"]],
         "vehicles": known,
         "refused": refused,

@@ -123,7 +123,7 @@ def test_decoder_that_has_learnt_nothing_is_not_exported(shapes: MeshShapes, tmp
     state["decoder"]["layers.8.bias"] = torch.full((1,), 9.0)
     torch.save(state, checkpoint)
     with pytest.raises(InputError, match="no vehicle has a surface"):
-        export_mesh_training(checkpoint, shapes, FRAME, tmp_path / "out", 0.0, processes)
+        export_mesh_training(checkpoint, shapes, FRAME, tmp_path / "out", processes)
     assert not (tmp_path / "out" / "vehicles.safetensors").exists()
 
 
