@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.weights import load_weights, wrong_values
+from shift3d.detectors.models.weights import wrong_values
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.build.fleet import fleet_of
@@ -41,7 +41,7 @@ def train_detector(
     start_from: Path | None = None,
     compute: Compute = ONE_THREAD,
     report: Report | None = None,
-) -> DetectorNet:
+) -> None:
     """The whole recipe: make scenes, train on them, then on those with inserted vehicles too, export.
 
     Args:
@@ -52,7 +52,6 @@ def train_detector(
         start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
         compute: default the CPU, one thread; with another number of threads the weights agree to rounding, not to the
             bit. report: see :func:`train_on_scenes`.
-    Returns: the network of the exported file, on the CPU, in evaluation mode.
     Raises: InputError when the recipe cannot be trained by, weights to start from are missing, the scenes hold no
         vehicle, the checkpoint is of another recipe, other scenes or another start, or the training diverges: then
         weights_file stays as it was; KeyboardInterrupt when asked to stop.
@@ -78,7 +77,6 @@ def train_detector(
     export_weights(net, weights_file, recipe)
     started = {"started_from": None if begun_with is None else begun_with.name, "before": before}
     write_provenance(weights_file, started | _made_of(recipe, scenes) | training_facts(out_dir, recipe, compute))
-    return load_weights(recipe.new_network(), weights_file)
 
 
 def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
