@@ -19,8 +19,6 @@ from shift3d.vehicles.vehicle import Vehicle, decoded_corners, framed
 
 # A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from shift3d.sdf.decoder import Decoder
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.sdf.foreign import Experiment
@@ -91,8 +89,7 @@ class DeepSdfVehicles(VehicleSource):
         return list(self._experiment.instances)
 
     def codes(self) -> NDArray[np.float32]:
-        codes: NDArray[np.float32] = (self._experiment.codes * self._code_scale).numpy().astype(np.float32)
-        return codes
+        return (self._experiment.codes * self._code_scale).numpy()
 
     def is_parametric(self, name: str) -> bool:
         return False
@@ -124,19 +121,17 @@ class DeepSdfVehicles(VehicleSource):
         """
         if name not in self._measured:
             index = known(name, {name: i for i, name in enumerate(self.names())}, self._folder)
-            code = self._experiment.codes[index] * self._code_scale
-            self._measured[name] = self._measure(name, code)
+            self._measured[name] = self._measure(name, (self._experiment.codes[index] * self._code_scale).numpy())
         return self._measured[name]
 
-    def _measure(self, name: str, code: Tensor) -> Vehicle:
+    def _measure(self, name: str, code: NDArray[np.float32]) -> Vehicle:
         frame = self._frame_of(name)
         assert frame.length_m is not None
         sdf_R_object = frame.object_R_file().T
         low, high = decoded_corners(code, self._scaled, sdf_R_object)
         frame.check_direction(high - low, f"{self._folder}, {name}", "vehicle.")
         scale_m = round(float(frame.length_m / (high - low)[0]), 4)
-        values = code.numpy().astype(np.float32)
-        return framed(name, name.split("_")[0], values, scale_m, sdf_R_object, low, high)
+        return framed(name, name.split("_")[0], code, scale_m, sdf_R_object, low, high)
 
     def _frame_of(self, name: str) -> MeshFrame:
         fitting = [key for key in self._frames if name.startswith(key)]
