@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -25,6 +24,7 @@ from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute
 from shift3d.training.processes import each
 from shift3d.training.progress import Report
+from shift3d.training.provenance import versions
 from shift3d.training.sdf.export import scaled_decoder
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
 from shift3d.training.sdf_shapes import ShapeSamples, in_random_order
@@ -32,7 +32,7 @@ from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.picture import write_side_by_side
-from shift3d.vehicles.vehicle_set import FACTS_FILE, RESOLUTION, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
+from shift3d.vehicles.vehicle_set import FACTS_FILE, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000
 POINTS_A_STEP = 2_750
@@ -184,20 +184,16 @@ def export_mesh_training(checkpoint: Path, shapes: MeshShapes, frame: MeshFrame,
         first = next(iter(refused.values()))
         what = f"after {state['step']} steps no vehicle has a surface, the first because {first}"
         raise InputError(what, where=str(checkpoint), remedy="train longer: steps=, in another out=")
-    chamfer_cm = [facts["chamfer_cm"] for facts in known]
     provenance = {
         "model": "DeepSDF auto-decoder, trained on meshes",
         "recipe": state["recipe"],
         "step": state["step"],
         "frame": asdict(frame),
-        "chamfer_median_cm": float(np.median(chamfer_cm)),
-        "chamfer_worst_cm": float(np.max(chamfer_cm)),
-        "extraction_resolution": RESOLUTION,
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "loss_every_100_steps": [round(float(loss), 6) for loss in state["losses"]],
         "vehicles": known,
         "refused": refused,
-        "torch": torch.__version__,
+        "versions": versions(),
     }
     write_vehicle_set(out, decoder, vehicles, provenance)
 
