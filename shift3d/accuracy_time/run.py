@@ -135,7 +135,7 @@ def _seconds(setting: Setting) -> dict[str, float]:
     once, window = by_solver.get(str(setting.accuracy["solver"]), 0.4), 4.0 if setting.crop_m is None else 0.3
     return {
         "look": once + 3 * window,
-        "displaced": setting.displaced * once + window,
+        "displaced": setting.displaced * (once + window),
         "attack": 2.0 * setting.attack_steps * (once + window),
         "step": once + 2 * window,
         "samples": 0.0 if once >= 5.0 else 1.0 + once / 2,

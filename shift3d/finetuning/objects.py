@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -92,15 +92,19 @@ def scored_objects(folder: LocationLike, detector: str, methods: tuple[str, ...]
     """
     folder = as_location(folder)
     plan = read_plan(folder)
-    scores = {}
-    for row in read_final(folder, "scores").to_pylist():
-        if row["method"] in methods and row["scored_by"] == row["detector"]:
-            scores[row["task_id"], row["method"], row["replicate"]] = row
+    rows = [row for row in read_final(folder, "scores").to_pylist() if row["method"] in methods]
+    own = [row for row in rows if row["scored_by"] == row["detector"]]
+    scores = {_key(row): row for row in own if row["score"] is not None}
     solutions: dict[str, list[dict[str, Any]]] = {}
     for row in read_final(folder, "solutions").to_pylist():
-        if (row["task_id"], row["method"], row["replicate"]) in scores:
+        if _key(row) in scores:
             solutions.setdefault(row["task_id"], []).append(row)
-    found = list(_objects(plan, scores, solutions))
+    found = []
+    for task in plan.tasks:
+        for solution in solutions.get(task.spec.task_id, ()):
+            row = scores[_key(solution)]
+            searched = row["method"] != "adversarial" or row["status"] != "no_valid_step"
+            found.append(SweepObject(task.spec, task.assets, solution, row["score"], row["stable"], searched))
     attacked = sorted({task.spec.detector for task in plan.tasks})
     if attacked != [detector]:
         what = f"attacked {', '.join(attacked)}, not {detector}"
@@ -108,20 +112,12 @@ def scored_objects(folder: LocationLike, detector: str, methods: tuple[str, ...]
     if not found:
         what = f"no task has a scored {' or '.join(methods)} object"
         raise InputError(what, where=str(folder), remedy="See status in final/scores.parquet")
-    return SweepObjects(folder, plan, tuple(found), dict(Counter(
-        row["status"] for row in scores.values() if row["score"] is None
-    )))  # fmt: skip
+    left_out = Counter(row["status"] for row in own if row["score"] is None)
+    return SweepObjects(folder, plan, tuple(found), dict(left_out))
 
 
-def _objects(
-    plan: Plan, scores: dict[Any, dict[str, Any]], solutions: dict[str, list[dict[str, Any]]]
-) -> Iterator[SweepObject]:
-    for task in plan.tasks:
-        for solution in solutions.get(task.spec.task_id, ()):
-            row = scores[task.spec.task_id, solution["method"], solution["replicate"]]
-            if row["score"] is not None:
-                searched = row["method"] != "adversarial" or row["status"] != "no_valid_step"
-                yield SweepObject(task.spec, task.assets, solution, row["score"], row["stable"], searched)
+def _key(row: Mapping[str, Any]) -> tuple[str, str, int]:
+    return row["task_id"], row["method"], row["replicate"]
 
 
 def refuse_other_weights(found: SweepObjects, weights_hash: str, whose: str, remedy: str) -> None:

@@ -13,7 +13,7 @@ import pyarrow as pa
 from shift3d.analysis.mlflow.measured import mirror_measured
 from shift3d.evaluation.breakdown import Area, overall_areas
 from shift3d.finetuning.page import finetune_page, gains_table
-from shift3d.finetuning.rescoring import METHODS, RESCORED, object_scores, rescored
+from shift3d.finetuning.rescoring import RESCORED, object_scores, rescored
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA, finetune_table, natural_rows
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.atomic import write_atomic
@@ -126,7 +126,7 @@ def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd
             yield _named(_table(tuned.scores_file(sweep)).to_pandas(), tuned.model, tuned.seed, sweep)
             if (tuned.folder / sweep / "final" / "solutions.parquet").is_file():
                 own = object_scores(tuned.folder / sweep, detector, tuned.weights).to_pandas()
-                own = own[own["method"] == METHODS[1]]
+                own = own[own["method"] == "adversarial"]
                 yield _named(own.assign(method=ADAPTIVE), tuned.model, tuned.seed, sweep)
 
 

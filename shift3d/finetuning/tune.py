@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +26,14 @@ from shift3d.store.resolve import LocationLike
 from shift3d.task.assets import Assets
 from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.spec import TaskSpec
-from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.command import WEIGHTS_FOLDER, TrainOptions
-from shift3d.training.compute import Compute
 from shift3d.training.detector.drawn_crops import EpochCrops, epoch_steps
-from shift3d.training.detector.loop import CHECKPOINT, train_on_scenes
+from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector.recipes import RECIPES, changed
-from shift3d.training.detector.train import export_weights
+from shift3d.training.detector.train import export_weights, training_facts
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene
-from shift3d.training.progress import Report, curve_facts
+from shift3d.training.progress import Report
 from shift3d.training.provenance import read_provenance, write_provenance
 
 
@@ -144,9 +142,14 @@ def fine_tune(
     weights = options.out / f"{detector}.safetensors"
     # In float16 a small rate's changes would be rounded away.
     export_weights(net, weights, recipe, halved=False)
-    ended = read_checkpoint(options.out / CHECKPOINT)
-    assert ended is not None
-    write_provenance(weights, _facts(found, method, recipe, (start, start_hash), compute, ended) | {"before": before})
+    facts = training_facts(options.out, recipe, compute) | {
+        "rate": recipe.peak_rate,
+        "seed": recipe.seed,
+        "started_from": {"file": start.name, "blake2b": start_hash},
+        "before": before,
+        "finetuned_on": _tuned_on(found, method),
+    }
+    write_provenance(weights, facts)
     return weights
 
 
@@ -197,34 +200,16 @@ def _with_anchors(recipe: Recipe, state: Mapping[str, Tensor]) -> Recipe:
     return replace(recipe, anchor_size_m=(length, width, height))
 
 
-def _facts(
-    found: SweepObjects,
-    method: str,
-    recipe: Recipe,
-    start: tuple[Path, str],
-    compute: Compute,
-    state: Mapping[str, Any],
-) -> dict[str, Any]:
-    """The provenance of fine-tuned weights."""
+def _tuned_on(found: SweepObjects, method: str) -> dict[str, Any]:
+    """The objects of a fine-tuning, for its provenance."""
     vehicles = Counter(row.spec.vehicle for row in found.objects)
     return {
-        "model": recipe.detector,
-        "recipe": asdict(recipe),
-        "steps": state["steps_done"],
-        "rate": recipe.peak_rate,
-        "seed": recipe.seed,
-        "started_from": {"file": start[0].name, "blake2b": start[1]},
-        "finetuned_on": {
-            "sweep": found.plan.sweep,
-            "spec_hash": found.plan.spec_hash,
-            "method": method,
-            "objects": len(found.objects),
-            "left_out": found.left_out,
-            "vehicles": dict(sorted(vehicles.items())),
-            "scenes": found.scenes,
-            "rows": [[task, replicate] for task, _, replicate in (row.key for row in found.objects)],
-        },
-        "compute": compute.facts(recipe.bfloat16),
-        "training_seconds": round(float(state.get("seconds", 0.0)), 1),
-        "curve": curve_facts(state.get("curve", [])),
+        "sweep": found.plan.sweep,
+        "spec_hash": found.plan.spec_hash,
+        "method": method,
+        "objects": len(found.objects),
+        "left_out": found.left_out,
+        "vehicles": dict(sorted(vehicles.items())),
+        "scenes": found.scenes,
+        "rows": [[task, replicate] for task, _, replicate in (row.key for row in found.objects)],
     }

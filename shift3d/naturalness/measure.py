@@ -15,7 +15,7 @@ from shift3d.errors import InputError
 from shift3d.naturalness.calibration import NATURAL_PERCENTILE
 from shift3d.naturalness.reference import Nearest, ReferenceSet
 from shift3d.naturalness.sizes import Sizes, sizes_of
-from shift3d.naturalness.surface import Surface, surface_of_mesh, surface_of_points
+from shift3d.naturalness.surface import surface_of_mesh, surface_of_points
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -74,16 +74,13 @@ class Naturalness:
     def __init__(self, reference: ReferenceSet) -> None:
         self.reference = reference
 
-    def of(self, shape: trimesh.Trimesh | NDArray[np.floating] | Surface) -> NaturalnessMeasure:
+    def of(self, shape: trimesh.Trimesh | NDArray[np.floating]) -> NaturalnessMeasure:
         """Measure a mesh, or points (N, 3) spread evenly over a surface: x forward, y left, z up, metres, anywhere.
 
         Raises: InputError for what is no surface: no area, coordinates that are not finite, too few points.
         Source: our choice.
         """
-        if isinstance(shape, Surface):
-            surface = shape
-        else:
-            surface = surface_of_mesh(shape) if isinstance(shape, trimesh.Trimesh) else surface_of_points(shape)
+        surface = surface_of_mesh(shape) if isinstance(shape, trimesh.Trimesh) else surface_of_points(shape)
         nearest = self.reference.nearest(surface)
         percentile = self.reference.calibration.percentile(nearest.mean_cm, nearest.p95_cm)
         return NaturalnessMeasure(nearest, sizes_of(surface), percentile)

@@ -64,8 +64,8 @@ class Surface:
         return np.minimum(np.asarray(found, np.float64), most_m)
 
 
-def surface_of_mesh(mesh: trimesh.Trimesh, count: int = POINTS) -> Surface:
-    """A mesh's surface: points spread evenly over its area, the same for the same mesh.
+def surface_of_mesh(mesh: trimesh.Trimesh) -> Surface:
+    """A mesh's surface: POINTS points spread evenly over its area, the same for the same mesh.
 
     Args: mesh: x forward, y left, z up, metres, anywhere; need not be closed.
     Raises: InputError for a mesh without area or with coordinates that are not finite.
@@ -81,13 +81,13 @@ def surface_of_mesh(mesh: trimesh.Trimesh, count: int = POINTS) -> Surface:
         raise InputError("the surface has no area", "surface", "Give a mesh of a vehicle")
     order = _along_a_curve(corners.mean(axis=1))
     reached = np.cumsum(doubled[order])
-    face = order[np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])]
-    a, b = _STEP_A * np.arange(count) % 1.0, _STEP_B * np.arange(count) % 1.0
+    face = order[np.searchsorted(reached, (np.arange(POINTS) + 0.5) / POINTS * reached[-1])]
+    a, b = _STEP_A * np.arange(POINTS) % 1.0, _STEP_B * np.arange(POINTS) % 1.0
     beyond = a + b > 1.0
     a, b = np.where(beyond, 1.0 - a, a)[:, None], np.where(beyond, 1.0 - b, b)[:, None]
     first, second, third = corners[face].swapaxes(0, 1)
     points = first + a * (second - first) + b * (third - first)
-    disc_m = DISC * float(np.sqrt(reached[-1] / 2 / count / np.pi))
+    disc_m = DISC * float(np.sqrt(reached[-1] / 2 / POINTS / np.pi))
     return Surface(points, crossed[face] / doubled[face, None], disc_m, _size(low, high))
 
 

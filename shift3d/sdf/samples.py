@@ -21,14 +21,12 @@ class SdfSamples:
     """Samples of one shape.
 
     points: (N, 3) float32, sdf frame, unit sphere. distances: (N,) float32, sdf units, negative inside.
-    scale_m: metres per sdf unit. offset_m: (3,) the sphere's centre in the mesh's frame, so that
-    x_sdf = (x_mesh - offset_m) / scale_m.
+    scale_m: metres per sdf unit, so that x_sdf = (x_mesh - centre of the mesh's box) / scale_m.
     """
 
     points: NDArray[np.float32]
     distances: NDArray[np.float32]
     scale_m: float
-    offset_m: NDArray[np.float64]
 
 
 def is_closed(mesh: trimesh.Trimesh) -> bool:
@@ -87,10 +85,9 @@ def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> S
     """
     if not mesh.is_watertight and not is_closed(mesh):
         raise InputError("the mesh is not closed", where="sample_sdf", remedy="repair it, or decode one from its scan")
-    offset = np.asarray(mesh.bounds.mean(axis=0), np.float64)
     scale = bounding_scale(mesh)
-    unit = trimesh.Trimesh((mesh.vertices - offset) / scale, mesh.faces, process=False)
-    return SdfSamples(*sample_sdf_within(unit, count, rng), scale, offset)
+    unit = trimesh.Trimesh((mesh.vertices - mesh.bounds.mean(axis=0)) / scale, mesh.faces, process=False)
+    return SdfSamples(*sample_sdf_within(unit, count, rng), scale)
 
 
 def sample_sdf_within(

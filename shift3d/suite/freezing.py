@@ -113,7 +113,8 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     scores = blake2b((sweep / "final" / "scores.parquet").read_bytes())
     made = {"sweep": plan.sweep, "spec_hash": plan.spec_hash, "scores": scores, **asdict(choice)}
     if (to / "suite.json").is_file():
-        if read_manifest(to / "suite.json").get("made") != made or read_manifest(to / "suite.json")["frames"] != frames:
+        manifest = read_manifest(to / "suite.json")
+        if (manifest.get("made"), manifest.get("frames")) != (made, frames):
             raise InputError("holds another suite", str(to), "Give another to=DIR")
         _forget_scenes(to)
         return Frozen(read_suite(to), chosen.left_out, chosen.unverified, None)

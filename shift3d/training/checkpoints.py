@@ -19,13 +19,13 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
     write_atomic(path, content.getvalue())
 
 
-def read_checkpoint(path: Path) -> dict[str, Any] | None:
-    """The checkpoint at `path`, None where there is none.
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """The checkpoint at `path`.
 
-    Raises: InputError naming the file when it cannot be read as tensors and plain values.
+    Raises: InputError naming the file when there is none, or it cannot be read as tensors and plain values.
     """
     if not path.is_file():
-        return None
+        raise InputError("no such checkpoint", where=str(path), remedy="train first")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged pickle fails in as many ways as it has instructions

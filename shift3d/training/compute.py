@@ -65,6 +65,10 @@ class Compute:
         return {"device": self.name, "threads": self.threads, "mixed_bfloat16": mixed, "flush_denormal": True}
 
 
+ONE_THREAD = Compute(torch.device("cpu"))
+"""What trainings compute on where nothing else is given."""
+
+
 def choose_compute(device: Literal["auto", "cpu", "cuda"] | str = "auto", threads: int = 1) -> Compute:
     """The device by name; auto is CUDA where there is one.
 

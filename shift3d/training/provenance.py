@@ -27,15 +27,13 @@ def versions() -> dict[str, str]:
     }
 
 
-def write_provenance(weights_file: Path, facts: Mapping[str, Any]) -> Path:
-    """Write facts and versions as JSON beside a weights file, in one step; returns the file.
+def write_provenance(weights_file: Path, facts: Mapping[str, Any]) -> None:
+    """Write facts and versions as JSON beside a weights file, in one step.
 
     Raises: InputError when the disk is full or not writable.
     """
-    file = weights_file.with_suffix(".json")
     text = json.dumps({**facts, "versions": versions()}, indent=1, default=str) + "\n"
-    write_atomic(file, text.encode())
-    return file
+    write_atomic(weights_file.with_suffix(".json"), text.encode())
 
 
 def read_provenance(weights_file: Path) -> dict[str, Any] | None:

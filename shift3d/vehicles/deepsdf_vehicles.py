@@ -19,8 +19,6 @@ from shift3d.vehicles.vehicle import Vehicle, decoded_corners, framed
 
 # A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from shift3d.sdf.decoder import Decoder
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.sdf.foreign import Experiment
@@ -58,11 +56,11 @@ class DeepSdfVehicles(VehicleSource):
     ) -> None:
         self._folder = Path(folder).expanduser()
         self._checkpoint, self._code_norm = checkpoint, code_norm
-        self._forward, self._up = forward, up
-        self._lengths = {"": length_m} if isinstance(length_m, float | int) else dict(length_m)
-        self._lengths = {"" if key == "default" else key: float(length) for key, length in self._lengths.items()}
-        for length in self._lengths.values():
-            MeshFrame(forward, up, length_m=length)
+        lengths = {"default": length_m} if isinstance(length_m, float | int) else length_m
+        self._frames = {
+            "" if key == "default" else key: MeshFrame(forward, up, length_m=float(length))
+            for key, length in lengths.items()
+        }
         self._measured: dict[str, Vehicle] = {}
 
     @functools.cached_property
@@ -91,8 +89,7 @@ class DeepSdfVehicles(VehicleSource):
         return list(self._experiment.instances)
 
     def codes(self) -> NDArray[np.float32]:
-        codes: NDArray[np.float32] = (self._experiment.codes * self._code_scale).numpy().astype(np.float32)
-        return codes
+        return (self._experiment.codes * self._code_scale).numpy()
 
     def is_parametric(self, name: str) -> bool:
         return False
@@ -124,29 +121,21 @@ class DeepSdfVehicles(VehicleSource):
         """
         if name not in self._measured:
             index = known(name, {name: i for i, name in enumerate(self.names())}, self._folder)
-            code = self._experiment.codes[index] * self._code_scale
-            self._measured[name] = self._measure(name, code)
+            self._measured[name] = self._measure(name, (self._experiment.codes[index] * self._code_scale).numpy())
         return self._measured[name]
 
-    def _measure(self, name: str, code: Tensor) -> Vehicle:
-        length_m = self._length_of(name)
-        sdf_R_object = MeshFrame(self._forward, self._up, length_m=length_m).object_R_file().T
+    def _measure(self, name: str, code: NDArray[np.float32]) -> Vehicle:
+        frame = self._frame_of(name)
+        assert frame.length_m is not None
+        sdf_R_object = frame.object_R_file().T
         low, high = decoded_corners(code, self._scaled, sdf_R_object)
-        self._check_direction(high - low, sdf_R_object, name)
-        scale_m = round(float(length_m / (high - low)[0]), 4)
-        values = code.numpy().astype(np.float32)
-        return framed(name, name.split("_")[0], values, scale_m, sdf_R_object, low, high)
+        frame.check_direction(high - low, f"{self._folder}, {name}", "vehicle.")
+        scale_m = round(float(frame.length_m / (high - low)[0]), 4)
+        return framed(name, name.split("_")[0], code, scale_m, sdf_R_object, low, high)
 
-    def _length_of(self, name: str) -> float:
-        fitting = [key for key in self._lengths if name.startswith(key)]
+    def _frame_of(self, name: str) -> MeshFrame:
+        fitting = [key for key in self._frames if name.startswith(key)]
         if not fitting:
             what = f"vehicle.length_m says nothing about {name}"
             raise InputError(what, where=str(self._folder), remedy="Add default=4.5 to it")
-        return self._lengths[max(fitting, key=len)]
-
-    def _check_direction(self, extent: NDArray[np.float64], sdf_R_object: NDArray[np.float64], name: str) -> None:
-        longest = int(np.argmax(extent))
-        if longest != 0:
-            axis = "xyz"[int(np.argmax(np.abs(sdf_R_object[:, longest])))]
-            what = f"{name} is longest along {axis}, not along vehicle.forward={self._forward}"
-            raise InputError(what, where=str(self._folder), remedy=f"Give vehicle.forward=+{axis} or -{axis}")
+        return self._frames[max(fitting, key=len)]

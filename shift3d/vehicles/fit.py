@@ -24,7 +24,7 @@ from shift3d.vehicles.orientation import better_frame, turned
 from shift3d.vehicles.picture import write_side_by_side
 from shift3d.vehicles.repair import RepairReport
 from shift3d.vehicles.vehicle import CODE_LENGTH
-from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
+from shift3d.vehicles.vehicle_set import FittedVehicle, fitted, write_vehicle_set
 from shift3d.wording import counted
 
 SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024
@@ -103,16 +103,12 @@ def fit_meshes(
     if not fits:
         first = next(iter(refused.values()))
         raise InputError(f"none of {len(files)} meshes can be used", where=str(path), remedy=f"The first: {first}")
-    chamfer_cm = [known["chamfer_cm"] for known in facts]
     provenance = {
         "model": "codes auto-decoded from meshes",
         "decoder": str(source),
         "steps": steps,
         "points_a_step": POINTS_A_STEP,
         "frame": asdict(frame),
-        "chamfer_median_cm": float(np.median(chamfer_cm)),
-        "chamfer_worst_cm": float(np.max(chamfer_cm)),
-        "extraction_resolution": RESOLUTION,
         "vehicles": facts,
         "refused": refused,
     }

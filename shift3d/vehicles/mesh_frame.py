@@ -71,7 +71,7 @@ class MeshFrame:
         extent = high - low
         if extent.min() < 1e-3 * extent.max() or extent.max() <= 0.0:
             raise InputError("the mesh is flat", where=where, remedy="A vehicle has length, width and height")
-        self._check_direction(extent, where)
+        self.check_direction(extent, where)
         scale = self.length_m / extent[0] if self.length_m is not None else UNITS_M[self.unit or "m"]
         if self.length_m is None:
             _check_length(float(extent[0]), float(scale), where)
@@ -82,12 +82,16 @@ class MeshFrame:
 
         return trimesh.Trimesh((vertices - (low + high) / 2.0) * scale, mesh.faces, process=False)
 
-    def _check_direction(self, extent: NDArray[np.float64], where: str) -> None:
+    def check_direction(self, extent: NDArray[np.float64], where: str, prefix: str = "") -> None:
+        """Raise InputError naming `where` for a vehicle whose extent (3,), object frame, is not largest forwards.
+
+        prefix: of the settings' names.
+        """
         longest = int(np.argmax(extent))
         if longest != 0:
-            axis = int(np.argmax(np.abs(self.object_R_file()[longest])))
-            what = f"longest along {'xyz'[axis]}, not along forward={self.forward}"
-            raise InputError(what, where=where, remedy=f"Give forward=+{'xyz'[axis]} or -{'xyz'[axis]}, and up=")
+            axis = "xyz"[int(np.argmax(np.abs(self.object_R_file()[longest])))]
+            what = f"longest along {axis}, not along {prefix}forward={self.forward}"
+            raise InputError(what, where=where, remedy=f"Give {prefix}forward=+{axis} or -{axis}, and {prefix}up=")
 
 
 def _axis(name: str) -> NDArray[np.float64]:

@@ -94,9 +94,9 @@ def write_vehicle_set(
     Vehicles are stored by name (`baseline_vehicles`), and everything that the decoder knows in one table
     (`family_vehicles`): `known`, or the same vehicles in the same order. boxes: by name, the parameters that codes are
     made of. decoder: a file of one is copied, so that what others made with it is known to be of the same decoder.
+    provenance: for sdf.json, which also says how far the vehicles are from their meshes.
     Raises: InputError without vehicles, or when two have one name.
     """
-
     if len({vehicle.name for vehicle in vehicles}) != len(vehicles) or not vehicles:
         raise InputError("no vehicles, or two of one name", where=str(out), remedy="one file for every vehicle")
     folder = Path(out)
@@ -105,7 +105,10 @@ def write_vehicle_set(
         save_decoder(decoder, folder / DECODER_FILE)
     else:
         write_atomic(folder / DECODER_FILE, decoder.read_bytes())
-    write_atomic(folder / FACTS_FILE, (json.dumps(provenance, indent=1) + "\n").encode())
+    chamfer_cm = [100.0 * vehicle.chamfer_m for vehicle in vehicles]
+    median, worst = round(float(np.median(chamfer_cm)), 3), round(max(chamfer_cm), 3)
+    measured = {"chamfer_median_cm": median, "chamfer_worst_cm": worst, "extraction_resolution": RESOLUTION}
+    write_atomic(folder / FACTS_FILE, (json.dumps(provenance | measured, indent=1) + "\n").encode())
     baselines = {vehicle.name: vehicle.facts() for vehicle in vehicles}
     tensors = {f"{vehicle.name}.latent_code": vehicle.latent_code.astype(np.float32) for vehicle in vehicles}
     for name, box in (boxes or {}).items():

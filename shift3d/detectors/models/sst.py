@@ -97,7 +97,10 @@ class SstNet(DetectorNet):
 
         Cores that are only a part of their windows have the same place in a batch.
         """
-        encoded, tokens = self._encoded(clouds, windows, pillars)
+        pillars, encoded = self.batch_features(clouds, windows, pillars)
+        batch = np.repeat(np.arange(len(pillars)), [found.counts.numel() for found in pillars])
+        cells = (torch.cat([getattr(found, axis) for found in pillars]).cpu().numpy() for axis in ("cell_x", "cell_y"))
+        tokens = Tokens(batch, *cells)
         # Tokens are let go by place on the grid, which differs within a batch: only a single scene is cut.
         span_x, span_y = (
             self.core_spans(windows[0]) if len(windows) == 1 else ((0, self.grid.num_x), (0, self.grid.num_y))
@@ -109,7 +112,8 @@ class SstNet(DetectorNet):
         """`features` from what the transformer made of the tokens in the windows' `core_spans`, (P, width)."""
         spans = [self.core_spans(window) for window in windows]
         canvas = self._canvas(attended, tokens, spans)
-        dense = self.dense(canvas.to(self._dense_dtype()))
+        weight: Tensor = self.dense[0].weight  # type: ignore[assignment]
+        dense = self.dense(canvas.to(weight.dtype))
         window, ((x0, _), (y0, _)) = windows[0], spans[0]
         rows = slice(window.core_y0 - y0, window.core_y0 - y0 + window.core_num_y)
         columns = slice(window.core_x0 - x0, window.core_x0 - x0 + window.core_num_x)
@@ -132,15 +136,6 @@ class SstNet(DetectorNet):
         features: Tensor = self.encoder(decorated, pillars)
         return features
 
-    def _encoded(
-        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
-    ) -> tuple[Tensor, Tokens]:
-        """Features (P, width) of every pillar of the batch, and where they lie."""
-        pillars, features = self.batch_features(clouds, windows, pillars)
-        batch = np.repeat(np.arange(len(pillars)), [found.counts.numel() for found in pillars])
-        cells = (torch.cat([getattr(found, axis) for found in pillars]).cpu().numpy() for axis in ("cell_x", "cell_y"))
-        return features, Tokens(batch, *cells)
-
     def _canvas(self, features: Tensor, tokens: Tokens, spans: list[tuple[tuple[int, int], tuple[int, int]]]) -> Tensor:
         """Features on the dense map, (B, C, h, w), channels last in memory, zero where no token is."""
         x_low, y_low = (np.asarray([span[axis][0] for span in spans]) for axis in (0, 1))
@@ -153,11 +148,6 @@ class SstNet(DetectorNet):
             features, flat = features[kept], flat[kept]
         dense = features.new_zeros(len(spans) * height * width, features.shape[1]).index_copy(0, flat, features)
         return dense.view(len(spans), height, width, -1).permute(0, 3, 1, 2)
-
-    def _dense_dtype(self) -> torch.dtype:
-        weight = self.dense[0].weight
-        assert isinstance(weight, Tensor)
-        return weight.dtype
 
     def inference(self, precision: Precision) -> SstNet:
         """A copy in evaluation mode, batch norms folded in float64, layers in their arithmetic.

@@ -17,7 +17,7 @@ from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.errors import InputError
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
-from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.compute import ONE_THREAD, Compute
 from shift3d.training.detector.batches import BatchMaker, Example, batches
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.drawn_crops import RandomCrops
@@ -80,9 +80,9 @@ class _Run:
         self.began_s = time.monotonic() - self._resume()
 
     def _resume(self) -> float:
-        state = read_checkpoint(self.file)
-        if state is None:
+        if not self.file.is_file():
             return 0.0
+        state = read_checkpoint(self.file)
         for key, ours, what in (("recipe", repr(self.recipe), "recipe"), ("data", self.data, "set of scenes")):
             # Checkpoints from before `data` was written are of the shipped streets.
             if state.get(key, SHIPPED_DATA) != ours:
@@ -123,7 +123,7 @@ def train_on_scenes(
     inserted_scenes: Sequence[Path] = (),
     checkpoint_every: int = 250,
     stop_after: int | None = None,
-    compute: Compute | None = None,
+    compute: Compute = ONE_THREAD,
     report: Report | None = None,
     data: str = SHIPPED_DATA,
     start: Mapping[str, Any] | None = None,
@@ -149,7 +149,6 @@ def train_on_scenes(
         the loss is no number any more; KeyboardInterrupt when asked to stop, the checkpoint being written.
     """
     recipe.validate()
-    compute = compute or choose_compute("cpu")
     compute.prepare()
     out_dir.mkdir(parents=True, exist_ok=True)
     run = _Run(out_dir / CHECKPOINT, recipe, compute, data, start)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.weights import load_weights, wrong_values
+from shift3d.detectors.models.weights import wrong_values
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.build.fleet import fleet_of
@@ -19,7 +19,7 @@ from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_safetensors
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.compute import ONE_THREAD, Compute
 from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.warm_start import start_file, start_state
@@ -39,9 +39,9 @@ def train_detector(
     weights_file: Path | None = None,
     scenes: SceneSet | None = None,
     start_from: Path | None = None,
-    compute: Compute | None = None,
+    compute: Compute = ONE_THREAD,
     report: Report | None = None,
-) -> DetectorNet:
+) -> None:
     """The whole recipe: make scenes, train on them, then on those with inserted vehicles too, export.
 
     Args:
@@ -52,12 +52,10 @@ def train_detector(
         start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
         compute: default the CPU, one thread; with another number of threads the weights agree to rounding, not to the
             bit. report: see :func:`train_on_scenes`.
-    Returns: the network of the exported file, on the CPU, in evaluation mode.
     Raises: InputError when the recipe cannot be trained by, weights to start from are missing, the scenes hold no
         vehicle, the checkpoint is of another recipe, other scenes or another start, or the training diverges: then
         weights_file stays as it was; KeyboardInterrupt when asked to stop.
     """
-    compute = compute or choose_compute("cpu")
     recipe.validate()
     begun_with = start_file(recipe, start_from)
     data = _identity(scenes, begun_with)
@@ -77,11 +75,8 @@ def train_detector(
     net = train_on_scenes(out_dir, recipe, base, inserted, **shared)
     weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
     export_weights(net, weights_file, recipe)
-    state = read_checkpoint(out_dir / CHECKPOINT)
-    assert state is not None
     started = {"started_from": None if begun_with is None else begun_with.name, "before": before}
-    write_provenance(weights_file, started | _facts(recipe, scenes, compute, state))
-    return load_weights(recipe.new_network(), weights_file)
+    write_provenance(weights_file, started | _made_of(recipe, scenes) | training_facts(out_dir, recipe, compute))
 
 
 def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
@@ -98,16 +93,23 @@ def _digest(scenes: SceneSet) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def _facts(recipe: Recipe, scenes: SceneSet | None, compute: Compute, state: Mapping[str, Any]) -> dict[str, Any]:
-    """The provenance of finished weights, beside what they started from."""
+def _made_of(recipe: Recipe, scenes: SceneSet | None) -> dict[str, Any]:
+    """The scenes and vehicles of a training, for its provenance."""
     names = [] if scenes is None else scenes.names()
     street = {"dataset": f"street-mixed-{TRAFFIC}", "split": "train", "count": recipe.mesh_scenes}
+    return {
+        "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
+        "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
+    }
+
+
+def training_facts(out_dir: Path, recipe: Recipe, compute: Compute) -> dict[str, Any]:
+    """What a provenance says of any training: recipe, steps, machine, time and curve, from its last checkpoint."""
+    state = read_checkpoint(out_dir / CHECKPOINT)
     return {
         "model": recipe.detector,
         "recipe": asdict(recipe),
         "steps": state["steps_done"],
-        "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
-        "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
         "compute": compute.facts(recipe.bfloat16) | {"steps_by_device": dict(state.get("steps_by_device", {}))},
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "curve": curve_facts(state.get("curve", [])),

@@ -12,13 +12,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.store.arrays import write_safetensors
-from shift3d.store.atomic import write_atomic
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.provenance import versions
+from shift3d.training.provenance import write_provenance
 from shift3d.training.sdf_shapes import shape_scales
 from shift3d.vehicles.family import VehicleSpec, family
 from shift3d.vehicles.vehicle import BASELINES
@@ -80,21 +78,19 @@ def scaled_decoder(state: Mapping[str, Any]) -> tuple[Decoder, NDArray[np.float3
     return decoder, (codes * np.float32(factor)).astype(np.float32), factor
 
 
-def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any]:
-    """Write sdf.safetensors, vehicles.safetensors and sdf.json (provenance) to `weights_dir`, each atomically.
+def export_sdf(checkpoint: Path, target: Path) -> None:
+    """Write sdf.safetensors, vehicles.safetensors and sdf.json (provenance) to the folder `target`, each atomically.
 
     A baseline is the typical training vehicle of its body type; its object frame's origin is the centre of the box
-    of its DECODED surface. Returns the provenance.
+    of its DECODED surface.
     Raises: InputError when the checkpoint is missing or unreadable.
     Source: SHIFT3D section "Experiments": five representative vehicles, scaled to realistic dimensions.
     """
-    state = read_checkpoint(Path(checkpoint))
-    if state is None:
-        raise InputError("no such checkpoint", where=str(checkpoint), remedy='make train ARGS="model=sdf"')
+    state = read_checkpoint(checkpoint)
     recipe = state["recipe"]
     decoder, codes, factor = scaled_decoder(state)
     specs = family(int(recipe["shapes"]), int(recipe["seed"]))
-    scales = shape_scales(len(specs), int(recipe["seed"]), Path(checkpoint).parent / "shapes")
+    scales = shape_scales(len(specs), int(recipe["seed"]), checkpoint.parent / "shapes")
     baselines, tensors = {}, {}
     for name in BASELINES:
         baselines[name] = _baseline(decoder, torch.from_numpy(codes), specs, scales, name)
@@ -103,7 +99,6 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
     tensors["family.scale_m"] = scales.astype(np.float32)
     tensors["family.size_m"] = np.array([[s.length_m, s.width_m, s.height_m] for s in specs], np.float32)
     family_facts = {"body_types": [spec.body_type for spec in specs], "seed": recipe["seed"], "count": len(specs)}
-    target = Path(weights_dir)
     target.mkdir(parents=True, exist_ok=True)
     provenance = {
         "model": "DeepSDF auto-decoder",
@@ -114,10 +109,8 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
         "note": state.get("note", "one uninterrupted schedule"),
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "compute": state.get("compute"),
-        "versions": versions(),
     }
     save_decoder(decoder, target / "sdf.safetensors", {"step": str(state["step"]), "recipe": json.dumps(recipe)})
     metadata = {"baselines": json.dumps(baselines), "family": json.dumps(family_facts), "step": str(state["step"])}
     write_safetensors(target / "vehicles.safetensors", tensors, metadata)
-    write_atomic(target / "sdf.json", (json.dumps(provenance, indent=1) + "\n").encode())
-    return provenance
+    write_provenance(target / "sdf.safetensors", provenance)

@@ -109,9 +109,8 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
     Raises InputError: the checkpoint is of another recipe, or the loss is no number any more; KeyboardInterrupt when
     asked to stop, all being written.
     """
-    state = read_checkpoint(file)
-    if state is not None:
-        run.restore(state, str(file))
+    if file.is_file():
+        run.restore(read_checkpoint(file), str(file))
     steps: int = run.recipe.steps
     curve: list[CurvePoint] = []
     bar = tqdm(total=steps, initial=run.step, desc="training sdf", mininterval=10.0)

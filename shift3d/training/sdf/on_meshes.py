@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -26,6 +24,7 @@ from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute
 from shift3d.training.processes import each
 from shift3d.training.progress import Report
+from shift3d.training.provenance import versions
 from shift3d.training.sdf.export import scaled_decoder
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
 from shift3d.training.sdf_shapes import ShapeSamples, in_random_order
@@ -33,7 +32,7 @@ from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.picture import write_side_by_side
-from shift3d.vehicles.vehicle_set import FACTS_FILE, RESOLUTION, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
+from shift3d.vehicles.vehicle_set import FACTS_FILE, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000
 POINTS_A_STEP = 2_750
@@ -141,21 +140,20 @@ def train_on_meshes(
     Returns: Chamfer distances of the vehicles to their meshes, cm, in the order of the meshes.
     Raises: InputError for meshes that cannot be used (see `mesh_shapes`), or another training's folder.
     """
-    start = time.monotonic()
     shapes = mesh_shapes(path, frame, SAMPLES_A_SHAPE, SEED, out / "shapes", compute.threads)
     recipe = mesh_recipe(shapes, steps)
     checkpoint = train_sdf(out, recipe, 250, shapes.samples, compute, report)
-    seconds = time.monotonic() - start
     if not is_exported(checkpoint, out):
-        export_mesh_training(checkpoint, shapes, frame, out, seconds, compute.threads)
+        export_mesh_training(checkpoint, shapes, frame, out, compute.threads)
     facts = json.loads((out / FACTS_FILE).read_text(encoding="utf-8"))
     return [vehicle["chamfer_cm"] for vehicle in facts["vehicles"]]
 
 
 def is_exported(checkpoint: Path, out: Path) -> bool:
     """Whether the vehicle set is there, of these meshes, by this recipe, from the checkpoint's step."""
-    if not (out / VEHICLES_FILE).is_file() or (state := read_checkpoint(checkpoint)) is None:
+    if not (out / VEHICLES_FILE).is_file():
         return False
+    state = read_checkpoint(checkpoint)
     try:
         facts = json.loads((out / FACTS_FILE).read_text(encoding="utf-8"))
         return bool((facts["recipe"], facts["step"]) == (state["recipe"], state["step"]))
@@ -163,16 +161,13 @@ def is_exported(checkpoint: Path, out: Path) -> bool:
         return False
 
 
-def export_mesh_training(
-    checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, seconds: float, processes: int = 1
-) -> None:
+def export_mesh_training(checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, processes: int) -> None:
     """Decode every training shape, measure it against its mesh, picture both, and write the vehicle set.
 
     A code that draws no surface, as after a few steps, is left out and said so. Shapes are shared among processes.
     Raises: InputError when none draws one.
     """
     state = read_checkpoint(checkpoint)
-    assert state is not None
     decoder, codes, _ = scaled_decoder(state)
     vehicles, known, refused = [], [], dict(shapes.refused)
     rows = list(zip(shapes.facts, codes, shapes.samples.scale_m, strict=True))
@@ -189,28 +184,22 @@ def export_mesh_training(
         first = next(iter(refused.values()))
         what = f"after {state['step']} steps no vehicle has a surface, the first because {first}"
         raise InputError(what, where=str(checkpoint), remedy="train longer: steps=, in another out=")
-    chamfer_cm = [facts["chamfer_cm"] for facts in known]
     provenance = {
         "model": "DeepSDF auto-decoder, trained on meshes",
         "recipe": state["recipe"],
         "step": state["step"],
         "frame": asdict(frame),
-        "chamfer_median_cm": float(np.median(chamfer_cm)),
-        "chamfer_worst_cm": float(np.max(chamfer_cm)),
-        "extraction_resolution": RESOLUTION,
-        "training_seconds": round(float(state.get("seconds", seconds)), 1),
+        "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "loss_every_100_steps": [round(float(loss), 6) for loss in state["losses"]],
         "vehicles": known,
         "refused": refused,
-        "torch": torch.__version__,
+        "versions": versions(),
     }
     write_vehicle_set(out, decoder, vehicles, provenance)
 
 
 def _decoder(checkpoint: Path) -> Decoder:
-    state = read_checkpoint(checkpoint)
-    assert state is not None
-    return scaled_decoder(state)[0]
+    return scaled_decoder(read_checkpoint(checkpoint))[0]
 
 
 _Row = tuple[dict[str, Any], NDArray[np.float32], float]

@@ -28,7 +28,7 @@ from shift3d.training.progress import Report
 from shift3d.training.provenance import versions
 from shift3d.training.sdf.export import CODE_NORM
 from shift3d.training.sdf.loop import DecoderRun, run_to_end
-from shift3d.training.sdf.wide_shapes import KindFrame, WideShapes, in_frame, wide_shapes, wide_specs
+from shift3d.training.sdf.wide_shapes import WideShapes, in_frame, wide_shapes, wide_specs
 from shift3d.vehicles.family.split import SPLIT
 from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_vehicle
 from shift3d.vehicles.parameter_box import BoxOfParameters
@@ -145,7 +145,6 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
     Source: our choice.
     """
     state = read_checkpoint(checkpoint)
-    assert state is not None
     decoder = Decoder()
     decoder.load_state_dict(state["decoder"])
     basis = state["basis"].numpy().astype(np.float32)
@@ -197,14 +196,10 @@ def generalisation_cm(decoder: Decoder, basis: NDArray[np.float32], shapes: Wide
         if frame is None:
             continue
         code = torch.from_numpy((shapes.table.row(spec).astype(np.float32)) @ basis)
-        found[f"{index} {spec.kind}"] = _distance_cm(decoder, code, spec, frame)
+        mesh = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M))
+        apart = symmetric_chamfer(extract_mesh(decoder.field(code), 129), mesh, generator("unseen chamfer", spec.kind))
+        found[f"{index} {spec.kind}"] = 100.0 * frame.scale_m * apart
     return found
-
-
-def _distance_cm(decoder: Decoder, code: torch.Tensor, spec: WideSpec, frame: KindFrame) -> float:
-    mesh = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M))
-    decoded = extract_mesh(decoder.field(code), 129)
-    return 100.0 * frame.scale_m * symmetric_chamfer(decoded, mesh, generator("unseen chamfer", spec.kind))
 
 
 def members_by_kind(specs: Sequence[WideSpec]) -> dict[str, NDArray[np.int64]]:

@@ -19,7 +19,7 @@ from torch import Tensor
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Architecture, Decoder
 from shift3d.seeding import derive_seed
-from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.compute import ONE_THREAD, Compute
 from shift3d.training.progress import Report
 from shift3d.training.sdf.loop import DecoderRun, run_to_end
 from shift3d.training.sdf_shapes import ShapeSamples, shape_samples
@@ -79,29 +79,27 @@ class SdfRun(DecoderRun):
 
 
 def train_sdf(
-    out_dir: Path | str,
+    out: Path,
     recipe: SdfRecipe | None = None,
     checkpoint_every: int = 1000,
     samples: ShapeSamples | None = None,
-    compute: Compute | None = None,
+    compute: Compute = ONE_THREAD,
     report: Report | None = None,
 ) -> Path:
-    """Train, or go on with a training, and leave `sdf.pt` (decoder, codes, recipe) in `out_dir`.
+    """Train, or go on with a training, and leave `sdf.pt` (decoder, codes, recipe) in `out`.
 
     Args:
-        out_dir: holds the sampled shapes and the checkpoint; the same folder and recipe resume.
+        out: holds the sampled shapes and the checkpoint; the same folder and recipe resume.
         recipe: default the shipped one.
         checkpoint_every: steps between checkpoints; no influence on the result. SIGINT and SIGTERM also write one.
         samples: of the shapes to train on; default the family's. The recipe's `shapes` and `source` are then theirs.
         compute: default the CPU, one thread; another number of threads rounds differently and changes nothing else.
         report: is given the curve's points after every checkpoint.
     Returns: the finished checkpoint.
-    Raises: InputError when `out_dir` holds another recipe's training; KeyboardInterrupt when asked to stop.
+    Raises: InputError when `out` holds another recipe's training; KeyboardInterrupt when asked to stop.
     Source: Park et al. 2019, section 4; see the module for what is ours.
     """
     recipe = recipe or SdfRecipe()
-    out = Path(out_dir)
-    compute = compute or choose_compute("cpu")
     compute.prepare()
     if samples is None:
         samples = shape_samples(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", compute.threads)

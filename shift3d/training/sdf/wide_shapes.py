@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from shift3d.sdf.samples import SPHERE_MARGIN, sample_sdf_within
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_arrays
 from shift3d.store.user_cache import program_digest
+from shift3d.training.processes import each
 from shift3d.vehicles.family.parameters import ParameterTable, is_symmetric, parameter_table
 from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_family
 
@@ -81,14 +82,14 @@ def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int
     frames = kind_frames(specs)
     tasks = [(spec, frames[spec.kind], samples, seed, index) for index, spec in enumerate(specs)]
     folder = cache / f"wide-{count}-{samples}-{seed}-{program_digest(*_CODE)[:16]}"
+    chunks = {folder / f"{start:06d}.npz": tasks[start : start + CHUNK] for start in range(0, count, CHUNK)}
+    missing = {file: some for file, some in chunks.items() if not file.is_file()}
+    work = each(_sampled, [task for some in missing.values() for task in some], processes)
     parts = []
-    with ProcessPoolExecutor(processes) as pool, tqdm(total=count, desc="sampling vehicles", mininterval=5.0) as bar:
-        for start in range(0, count, CHUNK):
-            file = folder / f"{start:06d}.npz"
-            some = tasks[start : start + CHUNK]
-            if not file.is_file():
-                clouds = list(pool.map(_sampled, some))
-                points, distances = (np.stack(arrays) for arrays in zip(*clouds, strict=True))
+    with tqdm(total=count, desc="sampling vehicles", mininterval=5.0) as bar:
+        for file, some in chunks.items():
+            if file in missing:
+                points, distances = (np.stack(arrays) for arrays in zip(*islice(work, len(some)), strict=True))
                 write_arrays(file, points=points, distances=distances)
             bar.update(len(some))
             with np.load(file, allow_pickle=False) as data:

@@ -7,6 +7,7 @@ clearance and wheelbase in metres; the roof line as shares of length and height.
 from __future__ import annotations
 
 import csv
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -94,8 +95,5 @@ def family(count: int, seed: int) -> list[VehicleSpec]:
     Instance i depends on (seed, i) alone: a longer family begins with the shorter one.
     Source: our choice: the paper is silent on how many vehicles of which type its DeepSDF saw.
     """
-    specs = []
-    for index in range(count):
-        body_type = BODY_TYPES[index % len(BODY_TYPES)]
-        specs.append(sample_spec(body_type, generator("vehicle family", seed, index)))
-    return specs
+    turns = itertools.islice(itertools.cycle(BODY_TYPES), count)
+    return [sample_spec(name, generator("vehicle family", seed, index)) for index, name in enumerate(turns)]

@@ -16,8 +16,6 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from shift3d.errors import InputError
-
 INCH_M = 0.0254
 CLEARANCE_TOLERANCE_M = 0.01
 """Makers state ground clearance empty or laden, which differ by about 2 cm, and few state it at all."""
@@ -43,14 +41,8 @@ class PublishedModel:
 
 
 def tyre_diameter_m(tyre: str) -> float:
-    """Diameter of a tyre such as "205/55 R16": twice the sidewall (55 % of 205 mm) and the rim (16 inches), metres.
-
-    Raises: InputError for another way of writing it.
-    """
-    match = re.fullmatch(r"(\d{3})/(\d{2}) R(\d{2})", tyre)
-    if match is None:
-        raise InputError(f"cannot read tyre size {tyre!r}", where="tyre", remedy='write it as "205/55 R16"')
-    width_mm, aspect_percent, rim_inch = (int(part) for part in match.groups())
+    """Diameter of a tyre such as "205/55 R16": twice the sidewall (55 % of 205 mm) and the rim (16 inches), metres."""
+    width_mm, aspect_percent, rim_inch = map(int, re.split("/| R", tyre))
     return 2e-5 * width_mm * aspect_percent + rim_inch * INCH_M
 
 
@@ -76,13 +68,7 @@ TRAILERS: tuple[tuple[str, float, float, float], ...] = (
 
 
 def published_range(body_type: str, quantity: str) -> tuple[float, float]:
-    """Least and largest published value of a quantity (one of QUANTITIES), metres, clearance with its tolerance.
-
-    Raises: InputError if unknown.
-    """
-    if body_type not in PUBLISHED or quantity not in QUANTITIES:
-        remedy = f"a body type of {', '.join(PUBLISHED)}; a quantity of {', '.join(QUANTITIES)}"
-        raise InputError(f"no published {quantity} of {body_type!r}", "published dimensions", remedy)
+    """Least and largest published value of a quantity (one of QUANTITIES), metres, clearance with its tolerance."""
     found = (getattr(model, quantity) for model in PUBLISHED[body_type])
     values = [float(value) for value in found if value is not None]
     tolerance = CLEARANCE_TOLERANCE_M if quantity == "clearance_m" else 0.0

@@ -37,7 +37,6 @@ def test_training_that_was_interrupted_ends_in_the_same_weights(
 ) -> None:
     monkeypatch.setattr(loop, "CURVE_STEPS", 2)
     whole = read_checkpoint(sdf.train_sdf(prepared(tmp_path / "whole", shapes), TINY, checkpoint_every=3))
-    assert whole is not None
     cut = prepared(tmp_path / "cut", shapes)
     write = loop.write_checkpoint
 
@@ -49,7 +48,6 @@ def test_training_that_was_interrupted_ends_in_the_same_weights(
         killed.setattr(loop, "write_checkpoint", write_then_die)
         sdf.train_sdf(cut, TINY, checkpoint_every=3)
     resumed = read_checkpoint(sdf.train_sdf(cut, TINY, checkpoint_every=3))
-    assert resumed is not None
     assert resumed["step"] == whole["step"] == 6
     assert resumed["losses"] == whole["losses"] and len(whole["losses"]) == 3, "each the mean of two steps"
     assert torch.equal(resumed["codes"], whole["codes"])
@@ -79,7 +77,8 @@ def test_folder_of_another_recipe_is_refused(tmp_path: Path, shapes: Path) -> No
 
 
 def test_checkpoint_that_is_no_checkpoint_names_the_file(tmp_path: Path) -> None:
-    assert read_checkpoint(tmp_path / "none.pt") is None
+    with pytest.raises(InputError, match=r"none\.pt: no such checkpoint"):
+        read_checkpoint(tmp_path / "none.pt")
     (tmp_path / "bad.pt").write_bytes(b"not a checkpoint")
     with pytest.raises(InputError, match=r"bad\.pt"):
         read_checkpoint(tmp_path / "bad.pt")
@@ -91,5 +90,4 @@ def test_checkpoint_that_is_no_checkpoint_names_the_file(tmp_path: Path) -> None
         with contextlib.suppress(InputError):  # and nothing else
             read_checkpoint(tmp_path / "bad.pt")
     again = read_checkpoint(tmp_path / "good.pt")
-    assert again is not None
     assert again["step"] == 3

@@ -110,7 +110,6 @@ def test_training_takes_the_samples_of_its_recipe_and_no_others(shapes: MeshShap
     recipe = dataclasses.replace(mesh_recipe(shapes, steps=2), batch_a_shape=32, compute="float32")
     assert (recipe.shapes, recipe.mirror, recipe.source) == (2, False, shapes.samples.source)
     state = read_checkpoint(train_sdf(tmp_path / "out", recipe, samples=shapes.samples))
-    assert state is not None
     assert state["codes"].shape == (2, 256)
     with pytest.raises(InputError, match="other shapes"):
         train_sdf(tmp_path / "other", SdfRecipe(shapes=2), samples=shapes.samples)
@@ -121,11 +120,10 @@ def test_decoder_that_has_learnt_nothing_is_not_exported(shapes: MeshShapes, tmp
     recipe = dataclasses.replace(mesh_recipe(shapes, steps=1), batch_a_shape=8, compute="float32")
     checkpoint = train_sdf(tmp_path / "out", recipe, samples=shapes.samples)
     state = read_checkpoint(checkpoint)
-    assert state is not None
     state["decoder"]["layers.8.bias"] = torch.full((1,), 9.0)
     torch.save(state, checkpoint)
     with pytest.raises(InputError, match="no vehicle has a surface"):
-        export_mesh_training(checkpoint, shapes, FRAME, tmp_path / "out", 0.0, processes)
+        export_mesh_training(checkpoint, shapes, FRAME, tmp_path / "out", processes)
     assert not (tmp_path / "out" / "vehicles.safetensors").exists()
 
 

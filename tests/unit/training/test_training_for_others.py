@@ -107,7 +107,7 @@ def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_tra
         train_on_scenes(tmp_path / "cut", recipe, files, report=curve.extend)
     assert signal.getsignal(signal.SIGTERM) is before
     state = read_checkpoint(tmp_path / "cut" / "checkpoint.pt")
-    assert state is not None and state["steps_done"] == 3
+    assert state["steps_done"] == 3
     resumed = train_on_scenes(tmp_path / "cut", recipe, files, report=curve.extend)
     for name, tensor in straight.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
@@ -259,9 +259,9 @@ def test_points_are_encoded_in_float32_under_autocast() -> None:
     cloud = torch.from_numpy(_cloud() + np.array((0, 0, 1.73), np.float32))
     pillars, tokens = PointPillarsNet(PILLARS), SstNet(TOKENS)
     with torch.no_grad():
-        exact = pillars.canvas([cloud], [WINDOW]), tokens._encoded([cloud], [WINDOW])[0]
+        exact = pillars.canvas([cloud], [WINDOW]), tokens.batch_features([cloud], [WINDOW])[1]
         with torch.autocast("cpu", torch.bfloat16):
-            mixed = pillars.canvas([cloud], [WINDOW]), tokens._encoded([cloud], [WINDOW])[0]
+            mixed = pillars.canvas([cloud], [WINDOW]), tokens.batch_features([cloud], [WINDOW])[1]
             logits = [net([cloud], [WINDOW]) for net in (pillars, tokens)]
     assert all(torch.equal(a, b) for a, b in zip(exact, mixed, strict=True))
     assert all(torch.isfinite(values.float()).all() for values in logits)

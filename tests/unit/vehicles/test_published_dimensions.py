@@ -60,7 +60,7 @@ def test_what_has_no_wheels_is_refused() -> None:
 
 def test_tyre_sizes() -> None:
     assert tyre_diameter_m("205/55 R16") == pytest.approx(2 * 0.11275 + 0.4064)
-    with pytest.raises(InputError, match="P205"):
+    with pytest.raises(ValueError, match="P205"):
         tyre_diameter_m("P205/55R16")
 
 

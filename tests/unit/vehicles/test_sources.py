@@ -117,7 +117,7 @@ def test_whatever_changes_a_result_changes_a_hash(folder: Path, tmp_path: Path) 
 def test_what_cannot_be_used_is_named(folder: Path) -> None:
     with pytest.raises(InputError, match=r"unknown vehicle 'tram'.*Choose from van_1, van_2, suv_1"):
         DeepSdfVehicles(folder).vehicle("tram")
-    with pytest.raises(InputError, match=r"van_1 is longest along z, not along vehicle.forward=\+x.*\+z or -z"):
+    with pytest.raises(InputError, match=r"van_1: longest along z, not along vehicle.forward=\+x.*\+z or -z"):
         DeepSdfVehicles(folder, forward="+x").vehicle("van_1")
     with pytest.raises(InputError, match="lie on one axis"):
         DeepSdfVehicles(folder, forward="+y")
