@@ -6,12 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from shift3d.evaluation.frames import Comparison
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+from shift3d.evaluation.frames import Comparison, Flags, Floats
 
 
 @dataclass(frozen=True)
