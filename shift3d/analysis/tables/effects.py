@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from shift3d.analysis.results import PLACE, one_baseline, places_of, with_places
+from shift3d.analysis.results import PLACE, places_of, with_places
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
@@ -89,7 +89,8 @@ def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseco
         raise InputError(
             f"no object was scored both with {name} and without", "the sweep", "Run both on the same scenes"
         )
-    pairs = one_baseline(pairs, _OBJECT)
+    # Tasks of several modes, lambdas or alphas share a baseline.
+    pairs = pairs[~(pairs["method"].eq("baseline") & pairs.duplicated([*_OBJECT, "method"]))]
     change = pairs["score"] - pairs["score_plain"]
     scene = places_of(pairs)
     base, hard = pairs["method"] == "baseline", pairs["method"] == "adversarial"
