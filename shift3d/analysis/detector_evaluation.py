@@ -41,7 +41,10 @@ from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, answers
 from shift3d.training.provenance import refuse_tuned_scenes
 from shift3d.wording import counted
 
-_CODE = ("scenes", "vehicles", "sdf", "geometry", "seeding.py", "detectors", "training/detector/detect_scenes.py")
+_CODE = (
+    *("scenes", "vehicles", "sdf", "geometry", "seeding.py", "detectors"),
+    *("training/detector_scenes.py", "training/detector/detect_scenes.py"),
+)
 
 
 def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:

@@ -89,7 +89,6 @@ class Expected:
     """Seconds of one worker for all tasks together. source: where they come from. guessed: how many of the tasks have
     other settings than anything that was measured there. longest_s: of the task that takes longest."""
 
-    tasks: int
     seconds: float
     source: str
     guessed: int
@@ -125,7 +124,7 @@ def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
                 guessed += count * (level > 0)
             break
     seconds = sum(count * one for one, (_, count) in zip(each, kinds, strict=True))
-    return Expected(len(tasks), seconds, source, guessed, max(each))
+    return Expected(seconds, source, guessed, max(each))
 
 
 def limit_line(longest_s: float, runner: RunnerConfig) -> str:
@@ -232,11 +231,10 @@ def expected_lines(
     if not len(left):
         return f"{progress}nothing is left to run"
     found = expected(left, [*timings, *own, *others])
-    mean = found.seconds / found.tasks
     workers = runner.workers_on(usable_cpus()) if isinstance(runner, RayRunnerConfig) else 1
-    wall = found.seconds / min(workers, found.tasks)
+    mean, wall = found.seconds / len(left), found.seconds / min(workers, len(left))
     text = (
-        f"{progress}expected: {counted(found.tasks, 'task')} of {duration(mean)}: {duration(wall)} with "
+        f"{progress}expected: {counted(len(left), 'task')} of {duration(mean)}: {duration(wall)} with "
         f"{counted(workers, 'worker')} (runner.workers=N), {found.seconds / 3600:.3g} core-hours\n"
         f"  by {found.source}"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -105,14 +105,6 @@ def with_places(scores: pd.DataFrame) -> pd.DataFrame:
     base = scores[scores["method"] == "baseline"].drop_duplicates("task_id").set_index("task_id")
     places = {name: scores["task_id"].map(base[name.removeprefix("baseline_")]) for name in PLACE}
     return scores.assign(**places)
-
-
-def one_baseline(rows: pd.DataFrame, same: Sequence[str]) -> pd.DataFrame:
-    """The rows without a baseline that came before: tasks of several modes, lambdas or alphas share it.
-
-    same: columns that tell an object from others.
-    """
-    return rows[~(rows["method"].eq("baseline") & rows.duplicated(["method", *same]))]
 
 
 def sweep_of(plan: Plan, tables: Mapping[str, pd.DataFrame], environment: Mapping[str, Any]) -> Sweep:

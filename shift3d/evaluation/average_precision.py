@@ -6,12 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from shift3d.evaluation.frames import Comparison
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+from shift3d.evaluation.frames import Comparison, Flags, Floats
 
 
 @dataclass(frozen=True)
@@ -58,25 +54,20 @@ def match_frame(comparison: Comparison, truth_counts: Flags, boxes_count: Flags,
     development kit goes through the objects, which differs only where several detections overlap one object by
     more than the threshold).
     """
-    overlap, scores = comparison.overlap, comparison.found.scores
-    free = truth_counts.copy()
-    kept: list[tuple[float, bool, float]] = []
-    for index in range(len(scores)):
-        enough = overlap[index] >= iou_threshold
+    scores = np.asarray(comparison.found.scores, dtype=np.float64)
+    free, is_true, is_false = truth_counts.copy(), *np.zeros((2, len(scores)), dtype=bool)
+    accuracy = np.zeros(len(scores))
+    for index, overlap in enumerate(comparison.overlap):
+        enough = overlap >= iou_threshold
         candidates = np.flatnonzero(enough & free)
         if candidates.size:
-            best = candidates[np.argmax(overlap[index, candidates])]
-            free[best] = False
-            kept.append((float(scores[index]), True, float(comparison.heading_accuracy[index, best])))
-        elif boxes_count[index] and not (enough & ~truth_counts).any():
-            kept.append((float(scores[index]), False, 0.0))
-    columns = list(zip(*kept)) or [(), (), ()]
-    return FrameMatches(
-        np.asarray(columns[0], dtype=np.float64),
-        np.asarray(columns[1], dtype=bool),
-        np.asarray(columns[2], dtype=np.float64),
-        int(truth_counts.sum()),
-    )
+            best = candidates[np.argmax(overlap[candidates])]
+            free[best], is_true[index] = False, True
+            accuracy[index] = comparison.heading_accuracy[index, best]
+        else:
+            is_false[index] = boxes_count[index] and not (enough & ~truth_counts).any()
+    kept = is_true | is_false
+    return FrameMatches(scores[kept], is_true[kept], accuracy[kept], int(truth_counts.sum()))
 
 
 def area_exact(recall: Floats, precision: Floats) -> float:

@@ -6,17 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from shift3d.evaluation.frames import VIEWS, DetectedFrame, compare
+from shift3d.evaluation.frames import VIEWS, DetectedFrame, Flags, Floats, Ints, compare
 from shift3d.evaluation.groups import Group, aspect, groups_of
 from shift3d.evaluation.intervals import DRAWS, frame_weights, interval, weighted_median
 from shift3d.evaluation.vehicles import ERRORS, VehicleRows, vehicle_rows
 from shift3d.evaluation.waymo import LEVELS, SCORE_CUTOFFS, Assignment, assign, curve_of, cutoff_counts
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 Statistic = Callable[[Floats, Floats], float | None]
 """Of errors and the weights of their frames."""
 

@@ -6,12 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from shift3d.evaluation.frames import range_of
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+from shift3d.evaluation.frames import Flags, Floats, Ints, range_of
 
 MAX_RANGE_M = 75.0
 RANGE_BINS_M = ((0.0, 30.0), (30.0, 50.0), (50.0, MAX_RANGE_M))
@@ -47,7 +43,7 @@ class Group:
         """Ranges of the vehicles and of the detections that take part."""
         return (self.low, self.high) if self.by == "range" else (0.0, MAX_RANGE_M)
 
-    def members(self, boxes: Floats, num_points: npt.NDArray[np.int64], kinds: Sequence[str]) -> Flags:
+    def members(self, boxes: Floats, num_points: Ints, kinds: Sequence[str]) -> Flags:
         """(M,) bool: which vehicles belong to it. kinds: M of them, or none at all."""
         if self.by in ("all", "range"):
             distance = range_of(boxes)

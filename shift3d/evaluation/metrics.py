@@ -86,18 +86,13 @@ def kitti_curve(comparisons: Sequence[Comparison], iou_threshold: float, difficu
     Detections outside the labelled camera view, or too low in the image for the difficulty, are no errors. KITTI's
     DontCare areas have no box and so, as in its development kit, no effect in either view.
     """
-    return greedy_curve(
-        (
-            match_frame(
-                comparison,
-                comparison.truth.counts & (comparison.truth.difficulty <= difficulty),
-                comparison.found.labelled & ~(comparison.found.image_height_px < _LEAST_HEIGHT_PX[difficulty]),
-                iou_threshold,
-            )
-            for comparison in comparisons
-        ),
-        at_40_recalls=True,
-    )
+    matches = []
+    for comparison in comparisons:
+        truth, found = comparison.truth, comparison.found
+        boxes_count = found.labelled & ~(found.image_height_px < _LEAST_HEIGHT_PX[difficulty])
+        truth_counts = truth.counts & (truth.difficulty <= difficulty)
+        matches.append(match_frame(comparison, truth_counts, boxes_count, iou_threshold))
+    return greedy_curve(matches, at_40_recalls=True)
 
 
 def _by_points(

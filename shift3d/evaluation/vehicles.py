@@ -7,15 +7,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from shift3d.evaluation.frames import DetectedFrame, compare, range_of
+from shift3d.evaluation.frames import DetectedFrame, Flags, Floats, Ints, compare, range_of
 from shift3d.evaluation.groups import aspect
 from shift3d.geometry.iou import iou_3d
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 MATCH_IOU = 0.5
 """Bird's-eye IoU of a detection and the vehicle whose errors it has: lenient, so that large errors are seen."""

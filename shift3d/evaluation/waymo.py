@@ -13,15 +13,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from shift3d.evaluation.average_precision import PrecisionRecall
-from shift3d.evaluation.frames import Comparison
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
+from shift3d.evaluation.frames import Comparison, Flags, Floats, Ints
 
 SCORE_CUTOFFS: Floats = np.arange(101) / 100.0
 LARGEST_GAP = 0.05  # of recall, between neighbouring points of the curve

@@ -11,6 +11,7 @@ import plotly.io
 from plotly.offline import get_plotlyjs
 
 from shift3d.analysis.html.blocks import Plot
+from shift3d.analysis.statistics.intervals import Interval
 
 DASHES = {
     "baseline": "solid",
@@ -87,6 +88,13 @@ def line(x: Any, y: Any, name: str, style: Mapping[str, Any], **more: Any) -> di
 def marks(x: Any, y: Any, marker: Mapping[str, Any], **more: Any) -> dict[str, Any]:
     """Single points."""
     return {"type": "scatter", "mode": "markers", "x": x, "y": y, "marker": marker, **more}
+
+
+def bars(found: Sequence[Interval]) -> dict[str, Any]:
+    """Bars to the ends of intervals; none to an end that is infinite, as those of a single scene are."""
+    ends = np.array([[one.high - one.mean, one.mean - one.low] for one in found])
+    up, down = short(np.where(np.isfinite(ends), ends, 0.0)).T
+    return {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "thickness": 1}
 
 
 def band(x: Any, low: Any, high: Any, colour: str, **more: Any) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from shift3d.analysis.results import natural_by_task
 from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_interval
-from shift3d.analysis.tables.paper import paper_table
+from shift3d.analysis.tables.paper import paper_beside
 from shift3d.analysis.tables.table import Cell, Table, between, number
 from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores, differing_settings
 from shift3d.methods import METHODS
@@ -53,9 +53,7 @@ def auc_table(variant: Variant, in_full: bool = False) -> Table:
     in_full: with 95 % intervals and numbers of scenes as notes, and the paper's rows beside; it takes a second or two.
     """
     vehicles = variant.vehicles
-    paper = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search) if in_full else None
-    if paper and not any(paper.aucs.of(method, vehicle) for method in METHODS for vehicle in vehicles):
-        paper = None
+    paper = paper_beside(variant) if in_full else None
     lines: list[Sequence[Cell]] = []
     kinds: list[str] = []
     for method in METHODS:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from shift3d.analysis.results import PLACE, one_baseline, places_of, with_places
+from shift3d.analysis.results import PLACE, places_of, with_places
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
@@ -24,8 +24,8 @@ from shift3d.store.atomic import write_atomic
 LEAST_SCENES = 8
 """Fewer say too little for `auto` to go by (our choice: at 8 the intervals hold in 88 % of the cases, not in 95 %)."""
 
-_PAIR = ["vehicle", "dataset", "scene", "mode", "lambda", "alpha", "detector", "accuracy", "search"]
-_PAIR += [*PLACE, "scored_by"]
+_OBJECT = ["vehicle", "dataset", "scene", "detector", "accuracy", *PLACE]
+_PAIR = [*_OBJECT, "mode", "lambda", "alpha", "search", "scored_by", "method", "replicate"]
 MEANINGS = {
     "|change|": "mean absolute change of the unchanged vehicle's score, with its 95 % interval (scenes resampled)",
     "AUC": "change of the mean score, baseline and adversarial (searched again under the effect), likewise",
@@ -81,17 +81,16 @@ def _by_effect(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseconds: float) -> EffectImpact:
-    keys = [*_PAIR, "method", "replicate"]
-    if with_effect.duplicated(keys).any() or plain.duplicated(keys).any():
+    if with_effect.duplicated(_PAIR).any() or plain.duplicated(_PAIR).any():
         what = "tasks differ in more than effects, places and what the tables hold: no object has one partner"
         raise InputError(what, "the sweep", "Run it with one value of every other setting")
-    pairs = with_effect.merge(plain, on=keys, suffixes=("", "_plain"))
+    pairs = with_effect.merge(plain, on=_PAIR, suffixes=("", "_plain"))
     if pairs.empty:
         raise InputError(
             f"no object was scored both with {name} and without", "the sweep", "Run both on the same scenes"
         )
-    once = [name for name in _PAIR if name not in ("mode", "lambda", "alpha", "search")]
-    pairs = one_baseline(pairs, [*once, "replicate"])
+    # Tasks of several modes, lambdas or alphas share a baseline.
+    pairs = pairs[~(pairs["method"].eq("baseline") & pairs.duplicated([*_OBJECT, "method"]))]
     change = pairs["score"] - pairs["score_plain"]
     scene = places_of(pairs)
     base, hard = pairs["method"] == "baseline", pairs["method"] == "adversarial"
@@ -114,9 +113,9 @@ def effect_milliseconds(scores: pd.DataFrame, timings: pd.DataFrame) -> dict[str
     own = timings[(timings["method"] == "baseline") & timings["stage"].str.match(r"render$|effect_")]
     spent = own.groupby("task_id")["milliseconds"].sum().rename("spent")
     tasks = _by_effect(scores).drop_duplicates("task_id").merge(spent, left_on="task_id", right_index=True)
-    tasks = tasks.fillna({"lambda": -1.0})  # of poses, which have none
-    # Not a pivot that keeps empty cells: it would make every combination of places.
-    of_object = tasks.groupby([*_PAIR[:-1], "effect"])["spent"].mean().unstack("effect")
+    # Not a pivot that keeps empty cells: it would make every combination of places. Of tasks that share a baseline one
+    # has its time, and under another effect that may be another one.
+    of_object = tasks.groupby([*_OBJECT, "effect"])["spent"].mean().unstack("effect")
     of_object = of_object.dropna(subset=[""]) if "" in of_object else of_object.assign(**{"": nan})
     return {str(name): float((of_object[name] - of_object[""]).median()) for name in of_object if name != ""}
 

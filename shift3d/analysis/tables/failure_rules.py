@@ -128,9 +128,8 @@ def rules_objects(sweep: Sweep) -> pd.DataFrame:
     sizes = sizes.rename(columns={"method": "shape", "replicate": "copy"}).drop_duplicates(["task_id", "shape", "copy"])
     rows = rows.merge(sizes, on=["task_id", "shape", "copy"], how="left")
     pose = ["x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"]
-    rows = rows.drop_duplicates(
-        ["dataset", "scene", "vehicle", "detector", "scored_by", "accuracy", *pose, *_SIZES, "score"]
-    )
+    settings = ["detector", "scored_by", "accuracy", "effects"]
+    rows = rows.drop_duplicates(["dataset", "scene", "vehicle", *settings, *pose, *_SIZES, "score"])
     kinds = sweep.solutions[["task_id", "method", "replicate", "drawn_as"]]
     rows = rows.merge(kinds, on=["task_id", "method", "replicate"], how="left")
     rows = rows.assign(vehicle=rows["drawn_as"].fillna(rows["vehicle"]))

@@ -44,7 +44,7 @@ MISSED_BELOW = 0.1
 """A vehicle with a lower score is missed. Source: the score that the public Waymo config shows boxes from."""
 _BEAMS = r"-beams_([a-z0-9_]+)"
 _GROUP = ["mode", "method", "detector", "scored_by", "search", "settings"]
-_PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "effects", "replicate", *PLACE]
+_PAIR = ["place", "street", "vehicle", "lambda", "alpha", "accuracy", "effects", "replicate", *PLACE]
 _METHODS = ("baseline", "adversarial")
 
 
@@ -67,7 +67,7 @@ def paired_scores(scores: pd.DataFrame) -> dict[tuple[str, ...], tuple[pd.DataFr
         return {}
     order = list(dict.fromkeys(rows["beams"]))
     street = rows["dataset"].str.replace(_BEAMS, "", regex=True) + rows["scene"].str.replace(_BEAMS, "", regex=True)
-    rows = rows.assign(street=street).fillna({"lambda": -1.0})
+    rows = rows.assign(street=street, place=places_of(rows)).fillna({"lambda": -1.0})
     found = {}
     for group, members in rows.groupby(_GROUP, sort=False):
         tables = [members.pivot_table(index=_PAIR, columns="beams", values=name) for name in ("score", "object_points")]
@@ -92,8 +92,8 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
                 continue
             missed, missed_first = both[beams] < MISSED_BELOW, both[first] < MISSED_BELOW
             apart = both[beams] - both[first]
-            streets = list(both.index.get_level_values("street"))
-            difference = "-" if beams == first else interval_text(mean_interval(apart, streets), 3)
+            places = list(both.index.get_level_values("place"))  # a street in rain and in fog is one draw
+            difference = "-" if beams == first else interval_text(mean_interval(apart, places), 3)
             lines.append(
                 [
                     label,

@@ -39,7 +39,8 @@ def select_lambda(mean_loss: Mapping[float, float]) -> float:
 class Choice:
     """One value chosen of several.
 
-    found: candidate to what it came to, a mean adversarial loss (lambda) or an AUC (alpha). tasks: behind each.
+    found: candidate to what it came to, a mean adversarial loss (lambda) or an AUC (alpha). tasks: behind each: scenes
+    (lambda) or vehicles in scenes (alpha), however many places a vehicle was put into there.
     """
 
     found: Mapping[float, float]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import pytest
 from analysed import blocks_html, variant
 
+from shift3d.analysis.html.figure import bars
 from shift3d.analysis.html.sections.budgets import budgets
 from shift3d.analysis.mlflow.sweep_groups import budget_points
+from shift3d.analysis.statistics.intervals import Interval
 from shift3d.analysis.tables.budgets import ANY_SHAPE, budget_curves, budget_table
 from shift3d.analysis.variants import Variant
 from shift3d.task.spec import AttackSpec, split_label
@@ -71,6 +74,13 @@ def test_the_page_draws_both_methods_at_every_budget() -> None:
     alone = [dataclasses.replace(one, rows=one.rows[one.rows["place"] == "street/0"]) for one in TRIED]
     assert budgets(alone), "a single scene has no interval, and is drawn"
     assert budgets(TRIED[3:]) == []
+
+
+def test_an_interval_without_an_end_hides_its_own_bar_alone() -> None:
+    """Where many draws hold none but baselines of score 0, the ratio of one budget has no upper end."""
+    found = bars([Interval(0.5, 0.4, 0.75), Interval(0.5, 0.25, math.inf), Interval(0.5, -math.inf, math.inf)])
+    assert found["array"].tolist() == [0.25, 0.0, 0.0]
+    assert found["arrayminus"].tolist() == pytest.approx([0.1, 0.25, 0.0])
 
 
 def test_mlflow_has_a_curve_over_the_budget() -> None:

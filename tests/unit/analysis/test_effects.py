@@ -79,6 +79,15 @@ def test_times_of_many_places_are_paired_without_making_every_combination() -> N
     assert found == {"fog": pytest.approx(7.0)}
 
 
+def test_a_baseline_that_tasks_share_has_its_time_whichever_of_them_spent_it() -> None:
+    """A worker renders it for the first task that it runs, which under another effect may be another one."""
+    scores, timings = tables({"fog": np.zeros(12)}, {"fog": 7.0})
+    pose = scores.assign(task_id="pose-" + scores["task_id"], mode="pose", **{"lambda": np.nan})
+    fog = timings["task_id"].str.startswith("fog-")
+    spent = timings.assign(task_id=timings["task_id"].where(fog, "pose-" + timings["task_id"]))
+    assert effect_milliseconds(pd.concat([scores, pose]), spent) == {"fog": pytest.approx(7.0)}
+
+
 def test_one_scene_says_nothing_so_the_effect_stays() -> None:
     scores, timings = tables({"fog": np.full(12, 1e-3)}, {"fog": 1.0})
     (fog,) = effect_impacts(scores[scores["scene"] == SCENES[0]], effect_milliseconds(scores, timings))

@@ -49,7 +49,7 @@ def ran(folder: Path, done: Plan, seconds: float) -> Path:
 def test_by_earlier_tasks_of_the_same_settings(tmp_path: Path) -> None:
     folder = ran(tmp_path / "earlier", plan_of("mode=shape", "scene=north"), 6.0)
     found = expected(plan_of("mode=shape").tasks, [folder])
-    assert (found.tasks, found.guessed) == (2, 0) and found.seconds == pytest.approx(12.0)
+    assert found.guessed == 0 and found.seconds == pytest.approx(12.0)
     assert f"1 task that ran in {folder}" in found.source
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import pandas as pd
@@ -10,6 +12,7 @@ import pytest
 from shift3d.analysis.results import Sweep, places_of
 from shift3d.analysis.statistics.intervals import vehicle_mean_interval
 from shift3d.analysis.tables.sensors import paired_scores, sensor_table
+from shift3d.analysis.tables.table import Cell
 
 LOSS = {"waymo_top": 0.0, "hdl32": 0.25, "hdl64": 0.0}
 
@@ -97,6 +100,24 @@ def test_effects_have_lines_of_their_own() -> None:
         ("baseline, pose, descent, p, fog", "waymo_top"): "0.525",
         ("baseline, pose, descent, p, fog", "hdl32"): "0.250",
     }
+
+
+def test_a_street_in_rain_and_in_fog_is_one_draw() -> None:
+    """What one street says twice is known as well as what it says once."""
+    dry = scores(streets=12)
+    odd = dry["scene"].str.extract(r"-(\d{6})-", expand=False).astype(int) % 2
+    dry = dry.assign(score=dry["score"] - 0.1 * odd * dry["scene"].str.endswith("hdl32"))
+    fog = dry.assign(task_id="fog-" + dry["task_id"])
+    fog[["dataset", "scene"]] = fog[["dataset", "scene"]].replace("-beams", "-fog50-beams", regex=True)
+    once, twice = (sensor_table(rows) for rows in (dry, pd.concat([dry, fog])))
+    assert once is not None and twice is not None
+    assert [line[3] for line in twice.lines] == [str(2 * int(str(line[3]))) for line in once.lines]
+
+    def widths(lines: Sequence[Sequence[Cell]]) -> list[float]:
+        ends = [re.findall(r"[-+][0-9.]+", str(line[6])) for line in lines if line[6] != "-"]
+        return [float(high) - float(low) for _, low, high in ends]
+
+    assert widths(twice.lines) == pytest.approx(widths(once.lines), rel=0.15)
 
 
 def test_one_sensor_makes_no_table() -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -236,6 +237,15 @@ def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_veh
         expected = shapes.get(key, math.nan)
         assert row.length_m == expected or (math.isnan(row.length_m) and (expected is None or math.isnan(expected)))
     assert rows["aspect_deg"].between(0, 90).all()
+
+
+def test_an_object_that_is_missed_under_two_effects_is_two(sweep: Sweep) -> None:
+    """As one that scores otherwise under each: else misses would count for less than what is found."""
+    again = sweep.scores.assign(task_id="again-" + sweep.scores["task_id"])
+    scores = pd.concat([sweep.scores, again], ignore_index=True)
+    tasks = SimpleNamespace(effects_requested_of=lambda ids: [["fog" if "again" in task else "none"] for task in ids])
+    both = dataclasses.replace(sweep, plan=SimpleNamespace(tasks=tasks), scores=scores)  # type: ignore[arg-type]
+    assert len(rules_objects(both)) == 2 * len(rules_objects(sweep))
 
 
 def test_what_tasks_share_and_what_no_step_changed_is_one_object(sweep: Sweep) -> None:

@@ -148,7 +148,7 @@ def test_training_scenes_are_in_the_network_frame() -> None:
     assert np.array_equal(network_points(scene)[1:], made.points)
 
 
-@pytest.mark.parametrize("part", ["scenes/kitti/scenes.py", "detectors/nms.py"])
+@pytest.mark.parametrize("part", ["scenes/kitti/scenes.py", "detectors/nms.py", "training/detector_scenes.py"])
 def test_what_another_program_detected_is_detected_again(
     part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

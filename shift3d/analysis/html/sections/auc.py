@@ -8,7 +8,7 @@ from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Terms, folded, 
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.statistics.paired import Paired, holm, paired
 from shift3d.analysis.tables.auc import auc_table, natural_sentence, natural_table
-from shift3d.analysis.tables.paper import paper_table
+from shift3d.analysis.tables.paper import paper_beside
 from shift3d.analysis.tables.sensors import sensor_table
 from shift3d.analysis.tables.table import Table, between
 from shift3d.analysis.variants import Variant
@@ -59,8 +59,7 @@ def auc_blocks(variant: Variant) -> list[Block]:
     blocks: list[Block] = [auc_table(variant, in_full=True)]
     if natural := natural_sentence(variant):
         blocks.append(Paragraph(natural))
-    paper = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search)
-    if not paper or not set(variant.vehicles) & {name for row in paper.aucs.by_method.values() for name in row}:
+    if not paper_beside(variant):
         blocks.append(missing(f"The paper has no table of these vehicles for {variant.label}."))
     return blocks
 

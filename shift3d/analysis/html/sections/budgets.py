@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from shift3d.analysis.html.blocks import Block, Paragraph
-from shift3d.analysis.html.figure import DASHES, LEGEND_BELOW, axis, plot, short
-from shift3d.analysis.statistics.intervals import Interval
+from shift3d.analysis.html.figure import DASHES, LEGEND_BELOW, axis, bars, plot, short
 from shift3d.analysis.tables.budgets import ANY_SHAPE, BudgetCurve, budget_curves, budget_table
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
@@ -46,16 +45,8 @@ def _traces(curve: BudgetCurve, colour: str) -> list[dict[str, Any]]:
         x = ["any shape" if budget == ANY_SHAPE else f"{budget:g}" for budget in known]
         y = short([found.mean for found in known.values()])
         traces.append(
-            {"type": "scatter", "mode": "lines+markers", "x": x, "y": y, "error_y": _bars(list(known.values())),
+            {"type": "scatter", "mode": "lines+markers", "x": x, "y": y, "error_y": bars(list(known.values())),
              "line": {"color": colour, "dash": DASHES[method], "width": 3 if method == "adversarial" else 2},
              "name": name, "hovertemplate": f"{name} %{{y:.3f}}<extra></extra>"}
         )  # fmt: skip
     return traces
-
-
-def _bars(found: Sequence[Interval]) -> dict[str, Any]:
-    """Bars of an interval's ends; none of a single scene, which has no interval."""
-    if any(one.high == float("inf") for one in found):
-        return {"visible": False}
-    up, down = ([one.high - one.mean for one in found], [one.mean - one.low for one in found])
-    return {"type": "data", "symmetric": False, "array": short(up), "arrayminus": short(down), "thickness": 1}

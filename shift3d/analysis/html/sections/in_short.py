@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, missing
 from shift3d.analysis.tables.auc import natural_rows, ratio_texts, with_baseline
-from shift3d.analysis.tables.paper import paper_table
+from shift3d.analysis.tables.paper import paper_beside
 from shift3d.analysis.variants import Variant, aucs_of_scores
 from shift3d.wording import counted
 
@@ -40,7 +40,7 @@ def headline(variant: Variant) -> str:
     if before is None or after is None:
         return f"{variant.title}: no baseline, or nothing found."
     ratio = " ".join(part for part in ratio_texts(rows, baseline) if part)
-    table = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search)
+    table = paper_beside(variant)
     paper = table and table.aucs.of_baseline("adversarial", vehicles)
     counts = f"{counted(len(vehicles), 'vehicle')} in {counted(rows['place'].nunique(), 'scene')}"
     return (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Plot, Terms, folded, missing
-from shift3d.analysis.html.figure import axis, marks, plot
+from shift3d.analysis.html.figure import axis, bars, marks, plot
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rules_objects, rules_table
 from shift3d.analysis.tables.patterns import Pattern, pattern_groups, patterns_table
@@ -63,13 +63,8 @@ def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
         shown = [pattern for pattern in found if pattern.unit == unit]
         if len(shown) < 2:
             continue
-        known = [pattern.change.high < float("inf") for pattern in shown]
-        ends = {
-            "array": [p.change.high - p.change.mean if k else 0.0 for p, k in zip(shown, known)],
-            "arrayminus": [p.change.mean - p.change.low if k else 0.0 for p, k in zip(shown, known)],
-        }
-        marker, bars = {"size": 9, "color": COLOURS["adversarial"]}, {"type": "data", "symmetric": False, **ends}
-        trace = marks([p.change.mean for p in shown], [p.name for p in shown], marker, error_x=bars)
+        marker, ends = {"size": 9, "color": COLOURS["adversarial"]}, bars([p.change for p in shown])
+        trace = marks([p.change.mean for p in shown], [p.name for p in shown], marker, error_x=ends)
         layout = {
             "xaxis": axis(f"change, {unit}", zeroline=True, rangemode="tozero"),
             "yaxis": axis("", autorange="reversed"),
