@@ -81,6 +81,12 @@ class Sweep:
         rows = self.solutions[(self.solutions["task_id"] == task_id) & (self.solutions["replicate"] == 0)]
         return [rows[rows["method"] == method].iloc[0] for method in ("baseline", "adversarial")]
 
+    def vehicle_words(self, task_id: str) -> str:
+        """ "sedan", or "sedan to camper" where the search ended at another kind; of a task that has solutions."""
+        before, after = self.pair_of(task_id)
+        kinds = [before["vehicle"], after["drawn_as"]]
+        return " to ".join(str(kind).replace("_", " ") for kind in kinds if pd.notna(kind))
+
 
 def places_of(rows: pd.DataFrame, dataset: str = "dataset", scene: str = "scene") -> pd.Series:
     """Of each row the place that its scene shows, which intervals redraw whole; see `scenes.sets.place_of`.

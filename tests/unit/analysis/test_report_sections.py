@@ -83,6 +83,14 @@ def test_the_gallery_draws_over_all_tasks_whatever_became_of_them(finished: Path
     assert "All 2 tasks" in shown and "0.90 → 0.30" in shown
 
 
+def test_the_gallery_names_the_kind_that_a_search_turned_to(finished: Path) -> None:
+    sweep = read_sweep(finished)
+    for kind, words in ((None, "suv, shape"), ("box_van", "suv to box van, shape")):
+        solutions = sweep.solutions.assign(drawn_as=kind)
+        shown = blocks_html(gallery(dataclasses.replace(sweep, solutions=solutions), Loaded(sweep.plan)))
+        assert words in shown
+
+
 def test_the_draw_is_seeded_and_every_task_is_as_likely() -> None:
     counts = np.zeros(20)
     for number in range(400):

@@ -58,7 +58,7 @@ def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
     key = f"case-{number}"
     path = case_path(key, sweep.trajectories[sweep.trajectories["task_id"] == case.task_id])
     views, buttons = turnable(key, case, before, after)
-    name = f"{case.vehicle.replace('_', ' ')}, {case.mode}"
+    name = f"{sweep.vehicle_words(case.task_id)}, {case.mode.replace('_', ' and ')}"
     return Article(
         key,
         f"{number}. {name}: score {case.before:.2f} → {case.after:.2f}",

@@ -45,7 +45,8 @@ def gallery(sweep: Sweep, loaded: Loaded) -> list[Block]:
 def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loaded: Loaded) -> Picture:
     spec = task.spec
     weight = "" if spec.lambda_ is None else f", lambda {spec.lambda_:g}"
-    name = f"{spec.vehicle.replace('_', ' ')}, {spec.mode.replace('_', ' and ')}{weight}"
+    vehicle = spec.vehicle.replace("_", " ") if case is None else sweep.vehicle_words(spec.task_id)
+    name = f"{vehicle}, {spec.mode.replace('_', ' and ')}{weight}"
     rows = sweep.scores[sweep.scores["task_id"] == spec.task_id]
     if case is None:
         status = str(rows["status"].iloc[0]).replace("_", " ") if len(rows) else "no result"
