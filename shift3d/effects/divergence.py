@@ -11,6 +11,7 @@ from torch import Tensor
 from shift3d.effects.base import Effect, EffectContext, FootprintStep, Insertion, Kind, Returns
 from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.physics.materials import albedo_of
+from shift3d.effects.physics.power import OBJECT_FAR_M
 from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
 from shift3d.render.beams import Beams
 from shift3d.render.implicit import cosine_of_incidence
@@ -22,8 +23,6 @@ PULSE_M = 0.75
 SUB_RAY_SHARE = 2.0 / 3.0
 """The six outer sub-rays run at this share of the cone's half angle, and all seven weigh the same (our choice): a disc
 cut into a middle and six sectors of equal area has the sectors' centroids at 0.70 of its radius."""
-PLACEMENT_LIMIT_M = 50.0
-"""Farthest that objects are placed. Source: SHIFT3D, Experiments."""
 LEAST_FOOTPRINT_M = 0.02
 """A cone no wider than this at that range counts as a line (our choice: the usual range noise)."""
 
@@ -51,10 +50,10 @@ class Divergence(Effect):
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the cone is wider than `LEAST_FOOTPRINT_M` at the farthest place."""
-        width = PLACEMENT_LIMIT_M * (scene.sensor.divergence_rad or 0.0)
+        width = OBJECT_FAR_M * (scene.sensor.divergence_rad or 0.0)
         if not width > LEAST_FOOTPRINT_M:
             return None
-        return f"a beam is {100.0 * width:.0f} cm wide at {PLACEMENT_LIMIT_M:.0f} m"
+        return f"a beam is {100.0 * width:.0f} cm wide at {OBJECT_FAR_M:.0f} m"
 
     def bind(self, context: EffectContext) -> FootprintStep:
         sensor = context.scene.sensor

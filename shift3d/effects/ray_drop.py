@@ -8,12 +8,10 @@ import torch
 
 from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
-from shift3d.effects.physics.power import echo_power, least_power, survival, survival_draws
+from shift3d.effects.physics.power import OBJECT_FAR_M, echo_power, least_power, survival, survival_draws
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.sensor import SensorModel
 
-FAR_M = 50.0
-"""Far end of the placements (the paper's 15 to 50 m): no object is farther."""
 STEEP_RAD = math.radians(80.0)
 """Incidence that is asked about (our choice): the flatter a surface is met, the fewer beams meet it; few meet a car at
 more, beside its silhouette and on a roof or hood seen from their own height."""
@@ -49,14 +47,14 @@ class RayDrop(Effect):
         limit_m = scene.sensor.limit_range_m
         if limit_m is None or not _has_limit(scene.sensor):
             return None
-        albedo, cosine, far = torch.tensor([DARKEST_ALBEDO, math.cos(STEEP_RAD), FAR_M], dtype=torch.float64)
+        albedo, cosine, far = torch.tensor([DARKEST_ALBEDO, math.cos(STEEP_RAD), OBJECT_FAR_M], dtype=torch.float64)
         power = echo_power(albedo, cosine, far)
         lost = 1.0 - float(survival(power, scene.sensor))
         if not lost >= LEAST_LOSS:
             return None
         share = float(power) / least_power(limit_m)
         return (
-            f"albedo {DARKEST_ALBEDO:g} at {FAR_M:g} m and {math.degrees(STEEP_RAD):.0f} degrees sends back "
+            f"albedo {DARKEST_ALBEDO:g} at {OBJECT_FAR_M:g} m and {math.degrees(STEEP_RAD):.0f} degrees sends back "
             f"{share:.2g} of the least power: {100.0 * lost:.0f} % of such echoes are lost"
         )
 

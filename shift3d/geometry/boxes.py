@@ -9,8 +9,8 @@ from shift3d.errors import InputError
 
 Float = NDArray[np.float64]
 
-# Counter-clockwise from front left, seen from above, in units of the half size.
-_CORNER_SIGNS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+CORNER_SIGNS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+"""(4, 2) corners of a footprint, counter-clockwise from front left, in units of the half size."""
 
 
 def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
@@ -39,7 +39,7 @@ def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
 def corners_bev(boxes: NDArray[np.floating]) -> Float:
     """Footprints of boxes (N, 7) as (N, 4, 2) corners, counter-clockwise from front left."""
     boxes = np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
-    local = _CORNER_SIGNS * (boxes[:, None, 3:5] / 2.0)
+    local = CORNER_SIGNS * (boxes[:, None, 3:5] / 2.0)
     cos, sin = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
     x = cos * local[..., 0] - sin * local[..., 1]
     y = sin * local[..., 0] + cos * local[..., 1]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from shift3d.geometry.boxes import CORNER_SIGNS
+
 Float = NDArray[np.float64]
 
 
@@ -18,13 +20,10 @@ def _overlap_areas(a: Float, b: Float) -> Float:
     turn = b[:, 6] - a[:, 6]
     apart = _apart(centre, turn, half_a, half_b) | _apart(_turned(centre, -turn), turn, half_b, half_a)
     near = np.flatnonzero(~apart)
-    corners = _turned(_SIGNS * half_b[near, None, :], turn[near, None]) + centre[near, None, :]
+    corners = _turned(CORNER_SIGNS * half_b[near, None, :], turn[near, None]) + centre[near, None, :]
     areas = np.zeros(len(a))
     areas[near] = _area_within(corners, half_a[near])
     return areas
-
-
-_SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
 def _turned(xy: Float, angle_rad: Float) -> Float:
@@ -82,22 +81,24 @@ def iou_bev(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
     Returns: (N, M) float64 in [0, 1]. Boxes without area overlap nothing (0, never NaN).
     """
     a, b = _as_boxes(a), _as_boxes(b)
-    result = np.zeros((len(a), len(b)))
     rows, columns = _pairs_in_reach(a, b)
     overlap = _overlap_areas(a[rows], b[columns])
-    union = (a[:, 3] * a[:, 4])[rows] + (b[:, 3] * b[:, 4])[columns] - overlap
-    result[rows, columns] = np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0.0)
-    return np.clip(result, 0.0, 1.0)
+    return _over_union(overlap, a[:, 3] * a[:, 4], b[:, 3] * b[:, 4], rows, columns)
 
 
 def iou_3d(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
     """Rotated intersection over union of volumes (both upright): (N, M) float64 in [0, 1]."""
     a, b = _as_boxes(a), _as_boxes(b)
-    result = np.zeros((len(a), len(b)))
     rows, columns = _pairs_in_reach(a, b)
     top = np.minimum((a[:, 2] + a[:, 5] / 2.0)[rows], (b[:, 2] + b[:, 5] / 2.0)[columns])
     bottom = np.maximum((a[:, 2] - a[:, 5] / 2.0)[rows], (b[:, 2] - b[:, 5] / 2.0)[columns])
     overlap = _overlap_areas(a[rows], b[columns]) * np.clip(top - bottom, 0.0, None)
-    union = np.prod(a[:, 3:6], axis=1)[rows] + np.prod(b[:, 3:6], axis=1)[columns] - overlap
+    return _over_union(overlap, np.prod(a[:, 3:6], axis=1), np.prod(b[:, 3:6], axis=1), rows, columns)
+
+
+def _over_union(overlap: Float, a: Float, b: Float, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float:
+    """(N, M) overlap over union, 0 but for some pairs. overlap: (P,) of these. a: (N,), b: (M,) areas or volumes."""
+    result = np.zeros((len(a), len(b)))
+    union = a[rows] + b[columns] - overlap
     result[rows, columns] = np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0.0)
     return np.clip(result, 0.0, 1.0)

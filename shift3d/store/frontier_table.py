@@ -69,7 +69,7 @@ def read_frontier(path: Path) -> pa.Table:
             field = FRONTIER_SCHEMA.field(name)
             table = table.append_column(field, pa.nulls(len(table), field.type))
     found = table.select([name for name in FRONTIER_SCHEMA.names if name in table.column_names])
-    check_table(found, FRONTIER_SCHEMA, path)
+    check_table(found, FRONTIER_SCHEMA, path, _AGAIN)
     return table
 
 

@@ -131,7 +131,7 @@ def read_parquet(
     return table, schema, version
 
 
-def check_table(table: pa.Table, schema: pa.Schema, path: LocationLike) -> None:
+def check_table(table: pa.Table, schema: pa.Schema, path: LocationLike, remedy: str = _RESTORE) -> None:
     """Refuse a table that has not a schema's columns and types, or lacks values, or holds NaN or infinity.
 
     Raises: InputError: naming the file and the column.
@@ -139,10 +139,10 @@ def check_table(table: pa.Table, schema: pa.Schema, path: LocationLike) -> None:
     if table.schema.names != schema.names:
         lacking = [name for name in schema.names if name not in table.schema.names]
         what = f"has no column {lacking[0]}" if lacking else "has not the columns of its kind"
-        raise InputError(what, where=str(path), remedy=_RESTORE)
+        raise InputError(what, str(path), remedy)
     for field in schema:
         column, found = table[field.name], table.schema.field(field.name)
         if (found.type, found.nullable) != (field.type, field.nullable) or (column.null_count and not field.nullable):
-            raise InputError(f"{field.name} is {found.type}, or lacks values", where=str(path), remedy=_RESTORE)
+            raise InputError(f"{field.name} is {found.type}, or lacks values", str(path), remedy)
         if pa.types.is_floating(field.type) and not np.isfinite(column.drop_null().to_numpy()).all():
-            raise InputError(f"{field.name} holds NaN or infinity", where=str(path), remedy=_RESTORE)
+            raise InputError(f"{field.name} holds NaN or infinity", str(path), remedy)

@@ -75,5 +75,5 @@ def read_suite_table(
     if (kind, version) != (f"suite_{name}", str(SUITE_VERSION)):
         what = f"is {kind}, version {version}; this program reads suite_{name}, version {SUITE_VERSION}"
         raise InputError(what, str(path), "Use the version of shift3d that wrote it, or freeze the suite again")
-    check_table(table, SUITE_SCHEMAS[name], path)
+    check_table(table, SUITE_SCHEMAS[name], path, remedy)
     return table

@@ -13,12 +13,12 @@ from shift3d.effects.chain import SCENE_ALBEDO, EffectChain
 from shift3d.effects.divergence import (
     EFFECT,
     LEAST_FOOTPRINT_M,
-    PLACEMENT_LIMIT_M,
     PULSE_M,
     SUB_RAY_SHARE,
     strongest,
 )
 from shift3d.effects.physics.materials import albedo_of
+from shift3d.effects.physics.power import OBJECT_FAR_M
 from shift3d.effects.physics.silhouettes import sub_rays
 from shift3d.geometry.se3 import scene_from_object
 from shift3d.render import Beams, preset, render
@@ -283,7 +283,7 @@ def test_the_strongest_group_of_echoes() -> None:
 
 def test_applies_by_the_width_of_the_cone_at_the_farthest_place() -> None:
     detector = DetectorFacts("any")
-    widest = LEAST_FOOTPRINT_M / PLACEMENT_LIMIT_M
+    widest = LEAST_FOOTPRINT_M / OBJECT_FAR_M
     for factor, expected in ((0.99, False), (1.01, True)):
         facts = SceneFacts.of(around_a_ball(4), EffectSettings(divergence_rad=factor * widest))
         assert (EFFECT.applicability(facts, detector) is not None) == expected

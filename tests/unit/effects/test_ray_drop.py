@@ -10,8 +10,8 @@ from analytic_fields import Frame
 
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
-from shift3d.effects.physics.power import PowerLimit, echo_power
-from shift3d.effects.ray_drop import EFFECT, FAR_M, STEEP_RAD
+from shift3d.effects.physics.power import OBJECT_FAR_M, PowerLimit, echo_power
+from shift3d.effects.ray_drop import EFFECT, STEEP_RAD
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.scene import Scene
@@ -155,7 +155,7 @@ def test_what_stays_keeps_its_gradient():
 
 def test_applies_where_the_weakest_echo_comes_near_the_limit():
     """Sharp: the darkest echo, albedo cos(80 deg) / 50^2, equals 0.9 / limit^2 for a limit of 569 m."""
-    limit_m = FAR_M * math.sqrt(0.9 / (DARKEST_ALBEDO * math.cos(STEEP_RAD)))
+    limit_m = OBJECT_FAR_M * math.sqrt(0.9 / (DARKEST_ALBEDO * math.cos(STEEP_RAD)))
     assert round(limit_m) == 569
     scene = context_of(None, count=50).scene
 

@@ -10,11 +10,10 @@ from shift3d.scenes.street.build.fleet import Fleet
 from shift3d.scenes.street.build.ground import Ground, sample_waves
 from shift3d.scenes.street.build.item import OWN_CAR_M, FloorPlan, Item
 from shift3d.scenes.street.build.roadside import furnish_roadside
-from shift3d.scenes.street.build.traffic import fill_lot, park_along_kerb, scatter_vehicles, vehicles_in_lanes
+from shift3d.scenes.street.build.traffic import LANE_M, fill_lot, park_along_kerb, scatter_vehicles, vehicles_in_lanes
 
 KINDS = ("street", "intersection", "lot", "plaza", "open")
 _KIND_SHARES = (0.35, 0.22, 0.2, 0.13, 0.1)
-LANE_M = 3.4
 NEAR_M = 75.0  # the count of vehicles is controlled within this distance
 LEAST_VEHICLES, MOST_VEHICLES = 10, 30
 

@@ -104,7 +104,7 @@ def fill_lot(plan: FloorPlan, ground: Ground, rng: np.random.Generator, occupanc
 
 
 def scatter_vehicles(plan: FloorPlan, ground: Ground, rng: np.random.Generator, count: int) -> None:
-    """Vehicles at any heading in driveways, yards and fields, 6 to 55 m away."""
+    """Vehicles at any heading in driveways, yards and fields, 7 to 55 m away."""
     left = count
     for _ in range(60 * max(count, 0)):
         if left <= 0:
