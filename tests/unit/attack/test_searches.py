@@ -221,16 +221,16 @@ def test_a_search_over_kinds_goes_on_with_the_kind_of_its_best_start(problem: At
 
 
 def test_the_second_half_of_the_starts_is_of_the_three_best_kinds_of_the_first(problem: AttackProblem) -> None:
-    asked: list[int] = []
+    turns: list[int] = []
     kinds = [shape_search(problem, weight) for weight in (5e3, 1e3, 3e3, 2e3, 4e3, 0.0)]
 
     def kind(number: int) -> tuple[AttackProblem, Search]:
-        asked.append(number)
+        turns.append(number)
         return problem, kinds[number]
 
     family, rng = Family((4, 0, 3, 1, 2, 5), kind), np.random.default_rng(0)
     descend_expectation(problem, kinds[0], 11, 0.02, rng, placements=1, starts=11, family=family)
-    assert asked == [4, 0, 3, 1, 2, *(1, 3, 2), *(1, 3)], "5, the best of all, had no turn"
+    assert turns == [4, 0, 3, 1, 2, *(1, 3, 2), *(1, 3)], "5, the best of all, had no turn"
 
 
 def test_the_most_unusual_kind_is_the_one_farthest_from_the_mean_of_the_known_codes() -> None:
