@@ -114,11 +114,14 @@ def refuse(values: Mapping[str, str], keys: Iterable[str], why: str, where: str)
             raise InputError(f"{key}= {why}", where, f"Leave out {key}=")
 
 
-def whole_number(values: Mapping[str, str], key: str, default: int, where: str, least: int = 1) -> int:
-    """The whole number behind a key. Raises: InputError for anything else, and below the least."""
+def whole_number(
+    values: Mapping[str, str], key: str, default: int, where: str, least: int = 1, most: float = math.inf
+) -> int:
+    """The whole number behind a key. Raises: InputError for anything else, below the least and above the most."""
     text = values.get(key, str(default))
-    if not text.isdecimal() or int(text) < least:
-        raise InputError(f"{key}={text!r} is not a whole number from {least}", where, f"Give {key}={default}")
+    if not text.isdecimal() or not least <= int(text) <= most:
+        bounds = f"from {least}" + ("" if math.isinf(most) else f" to {most:.0f}")
+        raise InputError(f"{key}={text!r} is not a whole number {bounds}", where, f"Give {key}={default}")
     return int(text)
 
 

@@ -31,6 +31,7 @@ from shift3d.scenes.sets import StreetScenes
         (["detector=pointpillars", "scenes=kitti", "root=nowhere"], "no folder training/velodyne"),
         (["detector=pointpillars", "split=holdout"], "split='holdout' is unknown"),
         (["detector=pointpillars", "count=0"], "count='0' is not a whole number from 1"),
+        (["detector=pointpillars", "count=2000000"], "count='2000000' is not a whole number from 1 to 1000000"),
         (["detector=pointpillars", "workers=two"], "workers='two' is not a whole number"),
         (["detector=pointpillars", "score_threshold=1.5"], "score_threshold='1.5' is not in [0, 1)"),
         (["detector=pointpillars", "weights=nowhere.safetensors"], "nowhere.safetensors"),

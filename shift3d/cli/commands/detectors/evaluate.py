@@ -61,7 +61,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
         return evaluate(key_values(arguments.words, ("model",), ("model",), "evaluate")["model"])
     values = key_values(arguments.words, _KEYS, ("detector",), "evaluate")
-    count = whole_number(values, "count", 200, "evaluate") if "count" in values else None
+    count = whole_number(values, "count", 200, "evaluate", most=1_000_000) if "count" in values else None
     workers = whole_number(values, "workers", 1, "evaluate")
     from shift3d.analysis.detector_evaluation import dataset_of, evaluate_detector
     from shift3d.training.detector.detect_scenes import SCORE_FLOOR
