@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
-from shift3d.settings.folders import looked_in, shipped, shown
+from shift3d.settings.folders import files, looked_in, shipped, shown
 from shift3d.settings.renamed import renamed_error
 
 # Groups whose kind pydantic puts into the path of a field.
@@ -95,7 +95,12 @@ def from_hydra(
             return InputError(what, where=where, remedy=f"Leave it out, or choose another option: {group}=NAME")
         if key in beside:
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
-        return choice_error("setting", key, sorted(_siblings(key, chosen or {})), where)
+        names = sorted(_siblings(key, chosen or {}))
+        if having := _options_having(key):
+            what = f"{key} is a setting of another option of {key.partition('.')[0]} than the chosen one"
+            remedy = f"Choose one that has it: {', '.join(having)}. The chosen one has: {', '.join(names)}"
+            return InputError(what, where, remedy)
+        return choice_error("setting", key, names, where)
     remedy = f"See {shown(shipped('conf'))} for all settings"
     return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
 
@@ -108,3 +113,11 @@ def _siblings(key: str, config: Mapping[str, Any]) -> dict[str, Any]:
             break
         config, prefix = config[part], f"{prefix}{part}."
     return {f"{prefix}{name}": value for name, value in config.items()}
+
+
+def _options_having(key: str) -> list[str]:
+    """Options of a setting's group whose files set it: scenes=kitti for scenes.root."""
+    group, _, name = key.partition(".")
+    own = re.compile(rf"^{re.escape(name)}:", re.MULTILINE)
+    found = files(f"conf/{group}") if (shipped("conf") / group).is_dir() else {}
+    return [f"{group}={option}" for option, file in found.items() if own.search(file.read_text(encoding="utf-8"))]

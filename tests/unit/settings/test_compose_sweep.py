@@ -130,6 +130,11 @@ def test_configuration_names_no_code() -> None:
     [
         (["vehicle=sub"], "unknown vehicle 'sub'. Did you mean 'suv'? One of: beach_wagon"),
         (["scenes.cout=3"], "unknown setting 'scenes.cout'. Did you mean 'scenes.count'?"),
+        (
+            ["scenes.root=x"],
+            "scenes.root is a setting of another option of scenes than the chosen one. Choose one that has "
+            "it: scenes=argoverse2, scenes=kitti, scenes=nuscenes",
+        ),
         (["sceness.count=3"], "unknown setting 'sceness.count'"),
         (["attack.alpha=interval(0,1)"], "continuous axis"),
         (["attack.alpha=shuffle(0.01,0.02)"], "shuffled axis"),
