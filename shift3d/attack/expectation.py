@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -80,15 +80,12 @@ def _turn_to_best_start(
     """Try the baseline and draws from the kinds in turn; go on with the kind of the best, whose search it returns."""
     trials.evaluate(search.start, False)
     kinds, lowest = [(problem, search)], dict[int, float]()
+    turns = _turns(family.order if family else (), starts - 1, lowest)
     number: int | None = None
-    turn: Iterator[int] = iter(family.order[: math.ceil((starts - 1) / 2)] if family else ())
     for _ in range(starts - 1):
         within = trials.trace[-1].within_budget
         if within and family is not None:
-            number = next(turn, None)
-            if number is None:
-                turn = itertools.cycle(sorted(lowest, key=lowest.__getitem__)[:KINDS_AGAIN] or family.order)
-                number = next(turn)
+            number = next(turns)
             problem, search = family.of(number)
             trials.turn_to(problem, search)
         variable = search.draw(rng, FREE_DISTANCE) if within else search.project(trials.back())
@@ -102,6 +99,12 @@ def _turn_to_best_start(
         trials.turn_to(*kinds[best])
     trials.held = trials.variables[best]
     return kinds[best][1]
+
+
+def _turns(order: Sequence[int], draws: int, lowest: Mapping[int, float]) -> Iterator[int]:
+    """Kinds that so many draws are taken from. lowest: loss of each with a valid draw, read after the first half."""
+    yield from order[: math.ceil(draws / 2)]
+    yield from itertools.cycle(sorted(lowest, key=lowest.__getitem__)[:KINDS_AGAIN] or order)
 
 
 def _shift(rng: np.random.Generator) -> Tensor:
