@@ -89,17 +89,13 @@ def from_hydra(
         key, beside = match.group(1), _siblings(match.group(1), config or {})
         if (renamed := renamed_error(key)) is not None:
             return renamed
-        if key in beside and not isinstance(beside[key], Mapping):
-            group = key.partition(".")[0]
-            what = f"{key} is a setting of another option of {group} than the chosen one"
-            return InputError(what, where=where, remedy=f"Leave it out, or choose another option: {group}=NAME")
-        if key in beside:
+        if isinstance(beside.get(key), Mapping):
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
-        names = sorted(_siblings(key, chosen or {}))
-        if having := _options_having(key):
+        names, having = sorted(_siblings(key, chosen or {})), _options_having(key)
+        if having or key in beside:
             what = f"{key} is a setting of another option of {key.partition('.')[0]} than the chosen one"
-            remedy = f"Choose one that has it: {', '.join(having)}. The chosen one has: {', '.join(names)}"
-            return InputError(what, where, remedy)
+            remedy = f"Choose one that has it: {', '.join(having)}" if having else "Leave it out"
+            return InputError(what, where, f"{remedy}. The chosen one has: {', '.join(names)}")
         return choice_error("setting", key, names, where)
     remedy = f"See {shown(shipped('conf'))} for all settings"
     return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
