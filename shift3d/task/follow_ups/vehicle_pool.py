@@ -132,8 +132,10 @@ def _true_meshes(assets: Assets, name: str, crops: list[Crop]) -> Mapping[int, t
 
 
 def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> dict[int, float]:
-    """Best score of a box that overlaps each vehicle where it stands, 0 without one, by label: beyond the detector's
-    grid, too."""
+    """Best score of a box that overlaps each vehicle where it stands, by label.
+
+    0 without such a box, and so for a vehicle beyond the detector's grid.
+    """
     if not crops:
         return {}
     boxes = np.stack([crop.box for crop in crops])
@@ -143,7 +145,7 @@ def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> 
     detector = assets.detector_of(spec.detector, "float32")
     try:
         window = detector.window_for((float(middle[0]), float(middle[1])), reach)
-    except InputError:  # all of them stand there
+    except InputError:  # every vehicle stands beyond the grid
         return {crop.label: 0.0 for crop in crops}
     points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
     with torch.no_grad():
