@@ -22,6 +22,7 @@ from shift3d.analysis.html.sections.patterns import patterns, rules
 from shift3d.analysis.html.sections.retrieval import retrieval
 from shift3d.analysis.html.sections.stability import accuracy, stability
 from shift3d.analysis.results import Sweep, read_sweep
+from shift3d.analysis.tables.auc import natural_search
 from shift3d.analysis.tables.coverage import nothing_placed, trial_caveat, unmoved
 from shift3d.analysis.variants import variants
 from shift3d.progress_bar import progress_bar
@@ -37,8 +38,9 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     found, loaded = variants(sweep.auc, sweep.scored), Loaded(plan)
     known = [trial_caveat(plan.tasks), unmoved(sweep.scores), *merged_lines(plan.tasks)]
     caveat = ". ".join(line for line in known if line)
+    further = natural_search(sweep.scores)
     sections: list[tuple[str, str, Callable[[], list[Block]]]] = [
-        ("short", "In short", lambda: in_short(found, caveat, nothing_placed(sweep.scores, plan.settings))),
+        ("short", "In short", lambda: in_short(found, caveat, nothing_placed(sweep.scores, plan.settings), further)),
         ("cases", "The hard cases", lambda: hard_cases(sweep, loaded, cases)),
         ("gallery", "Gallery", lambda: gallery(sweep, loaded)),
         ("budgets", "How hard vehicles get that stay vehicles", lambda: budgets(found)),

@@ -47,6 +47,19 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
     return Table(f"Natural adversarial shapes ({NATURAL_RULE})", header, lines)
 
 
+def natural_search(scores: pd.DataFrame) -> str | None:
+    """The command that looks for hard shapes that are vehicles, where searches without a budget left them; else None.
+
+    scores: of ``final/``.
+    """
+    left = {task for task, natural in natural_by_task(scores).items() if not natural}
+    rows = scores[scores["task_id"].isin(left) & ~scores["search"].str.contains("_within")]
+    if rows.empty:
+        return None
+    frames = ' ARGS="scenes=kitti scenes.root=PATH"' if rows["dataset"].eq("kitti").all() else ""
+    return f"Hard shapes that stay vehicles: make sweep SWEEP=natural{frames}"
+
+
 def auc_table(variant: Variant, in_full: bool = False) -> Table:
     """AUC by method and vehicle; below them those over the tasks whose shape is natural, and the chosen lambdas.
 

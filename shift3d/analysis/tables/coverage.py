@@ -10,7 +10,7 @@ import pandas as pd
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_meanings, preset_table
 from shift3d.analysis.tables.accuracy.frontier import legend
-from shift3d.analysis.tables.auc import auc_table, natural_table
+from shift3d.analysis.tables.auc import auc_table, natural_search, natural_table
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.sensors import sensor_table, transfer_table
@@ -29,6 +29,7 @@ def sweep_report(sweep: Sweep) -> str:
         budget_table(parted),
         sensor_table(sweep.scores),
         natural_table(sweep.scores),
+        natural_search(sweep.scores),
         transfer_table(sweep.transfers),
         *choice_tables(sweep.choices),
         "\n".join(reasons(sweep.choices)),

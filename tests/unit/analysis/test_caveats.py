@@ -132,3 +132,10 @@ def test_the_report_begins_with_it(finished: Path) -> None:
     blind = sweep.scores.assign(score=0.5, object_points=range(len(sweep.scores)))
     page = report_page(dataclasses.replace(sweep, scores=blind), cases=0)
     assert page.index("Is the vehicle seen at all?") < page.index("The hard cases</h2>")
+
+
+def test_the_report_says_at_its_beginning_how_to_find_shapes_that_stay_vehicles(finished: Path) -> None:
+    sweep = read_sweep(finished)
+    page = report_page(dataclasses.replace(sweep, scores=sweep.scores.assign(natural=False)), cases=0)
+    assert page.index("make sweep SWEEP=natural.") < page.index("The hard cases</h2>")
+    assert "SWEEP=natural" not in report_page(sweep, cases=0)

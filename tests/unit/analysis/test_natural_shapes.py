@@ -17,7 +17,7 @@ from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import transfer_grid
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import ratio_interval
-from shift3d.analysis.tables.auc import auc_table, natural_table
+from shift3d.analysis.tables.auc import auc_table, natural_search, natural_table
 from shift3d.analysis.tables.paper import paper_beside, paper_table
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import interval_text
@@ -103,6 +103,16 @@ def test_natural_shapes_by_lambda() -> None:
     assert last_line(scores.assign(natural=False))[-3:] == ["-", "-", "-"]
     lost = scores[~(scores["task_id"].eq("t0") & scores["method"].eq("baseline"))]
     assert last_line(lost)[-9:-6] == ["1", "of", "3"], "both of a pair or none"
+
+
+def test_a_sweep_of_unnatural_shapes_names_the_one_that_finds_natural_ones() -> None:
+    scores = judged_scores([True, True, False, False]).assign(dataset="street")
+    assert natural_search(scores) == "Hard shapes that stay vehicles: make sweep SWEEP=natural"
+    frames = natural_search(scores.assign(dataset="kitti"))
+    assert frames is not None and frames.endswith('SWEEP=natural ARGS="scenes=kitti scenes.root=PATH"')
+    assert natural_search(scores.assign(natural=True)) is None
+    assert natural_search(scores.assign(natural=None)) is None, "not measured"
+    assert natural_search(scores.assign(search="expectation_family_within95")) is None, "no command does better"
 
 
 def test_means_are_those_of_the_vehicles_as_in_the_table_of_aucs() -> None:

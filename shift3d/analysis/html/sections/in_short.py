@@ -13,10 +13,13 @@ from shift3d.wording import counted
 _SHOWN = 3
 
 
-def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str | None = None) -> list[Block]:
+def in_short(
+    found: Sequence[Variant], caveat: str | None = None, unplaced: str | None = None, further: str | None = None
+) -> list[Block]:
     """A sentence for each variant that the attacked detector scores itself; the others folded.
 
-    caveat: what to know before reading AUCs. unplaced: what is told where no vehicle found a place.
+    caveat: what to know before reading AUCs. unplaced: what is told where no vehicle found a place. further: what to
+    run after this.
     """
     known = [variant for variant in found if len(variant.rows)]
     if not known:
@@ -28,7 +31,7 @@ def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str 
     if rest:
         summary = f"{counted(len(rest), 'more result')}: other detectors and settings"
         blocks.append(Fold(summary, [Items([headline(variant) for variant in rest])]))
-    return blocks
+    return [*blocks, *([Paragraph(f"{further}.")] if further else [])]
 
 
 def headline(variant: Variant) -> str:
