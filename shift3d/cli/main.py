@@ -30,6 +30,7 @@ _EPILOG = f"""\
 examples:
   shift3d sweep                          the paper's tables on procedural streets, into outputs/
   shift3d sweep smoke                    a minute's worth of the same
+  shift3d sweep natural                  hard shapes that are vehicles
   shift3d sweep kitti scenes.root=PATH   on real KITTI frames
   shift3d plan default vehicle=suv       what would run
   shift3d verify outputs/default-1a2b3c4d5e6f7a8b
