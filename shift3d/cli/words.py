@@ -92,7 +92,7 @@ def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
         if word.partition("=")[0].split(".")[0] != "runner":
             remedy = "Only the runner can be set: runner=local, runner.KEY="
             raise InputError(f"cannot read {word!r}", where=command, remedy=remedy)
-    return next(iter(expand(compose_sweep("default", words)))).runner
+    return next(iter(expand(compose_sweep("default", words, own=False)))).runner
 
 
 def _words_of_folder(words: list[str]) -> list[str]:
