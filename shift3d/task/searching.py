@@ -35,7 +35,6 @@ def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Attac
     Raises: InputError for a space that the task's vehicles do not have.
     """
     attack = spec.attack
-    problem = problem if spec.mode == "shape" else problem.with_space()
     search, family = _searches(spec, problem, assets)
     rng = generator("search", spec.task_id)
     if attack.search == "expectation":
@@ -50,7 +49,6 @@ def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Attac
 
 def best_of_draws(spec: TaskSpec, problem: AttackProblem, assets: Assets, distance: float) -> AttackResult:
     """The best of as many draws as the task's search has evaluations. distance: see `attack.trials.Search.draw`."""
-    problem = problem if spec.mode == "shape" else problem.with_space()
     rng = generator("random search", spec.task_id)
     search, family = _searches(spec, problem, assets)
     return draw_best(problem, search, spec.attack.steps, rng, distance, family=family)
