@@ -90,7 +90,7 @@ def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
 
     for word in words:
         if word.partition("=")[0].split(".")[0] != "runner":
-            remedy = "Only the runner can be set: runner=local, runner.KEY="
+            remedy = "Give settings of the runner alone: runner=local, runner.KEY=VALUE"
             raise InputError(f"cannot read {word!r}", where=command, remedy=remedy)
     return next(iter(expand(compose_sweep("default", words, own=False)))).runner
 

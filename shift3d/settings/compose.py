@@ -209,7 +209,7 @@ def _check_options(group: str, override: Any, where: str) -> None:
         raise InputError(f"{override.input_line}: no setting is named", where=where, remedy="Write key=value")
     options, value = _Groups().get_group_options(group), override.value()
     if options and isinstance(value, list) and len(value) > 1 and group not in _MERGED:
-        remedy = f"Several are an axis: {group}={','.join(map(str, value))}"
+        remedy = f"Write several as an axis: {group}={','.join(map(str, value))}"
         raise InputError(f"{override.input_line}: {group} takes one option, and the last would win", where, remedy)
     for name in value if isinstance(value, list) else [value]:
         if options and not isinstance(name, str | QuotedString):

@@ -288,7 +288,7 @@ def render_settings(spec: TaskSpec) -> RenderSettings:
     values = current_settings(spec.accuracy_settings, where)
     values.pop("detector", None)
     if values.get("dtype") not in _DTYPES:
-        raise InputError(f"accuracy.render.dtype is {values.get('dtype')!r}", where, "float32 or float64")
+        raise InputError(f"accuracy.render.dtype is {values.get('dtype')!r}", where, "Give float32 or float64")
     values["dtype"] = _DTYPES[values["dtype"]]
     return PRESETS.get(spec.accuracy, STANDARD).with_(**values)
 

@@ -81,7 +81,7 @@ def described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any
     except (KeyError, ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
-        raise InputError(f"no {key} in its metadata", where=str(source), remedy="a vehicles file of shift3d")
+        raise InputError(f"no {key} in its metadata", where=str(source), remedy="Give a vehicles file of shift3d")
     return found
 
 
@@ -90,7 +90,7 @@ def tensor_of(
 ) -> NDArray[np.float32]:
     """A tensor by name, float32. Raises: InputError where it is missing, of another shape or kind, or not finite."""
     if name not in tensors:
-        raise InputError(f"tensor {name} is missing", where=str(source), remedy=f"expected shape {shape}")
+        raise InputError(f"tensor {name} is missing", where=str(source), remedy=f"Give it with shape {shape}")
     found = tensors[name]
     usable = found.shape == shape and np.issubdtype(found.dtype, np.floating)
     # The comparison is false for NaN.
@@ -98,7 +98,7 @@ def tensor_of(
         what = (
             f"tensor {name} is {found.dtype} of shape {found.shape}, or holds values not finite or beyond {LARGEST:g}"
         )
-        raise InputError(what, where=str(source), remedy=f"expected finite floating-point values of shape {shape}")
+        raise InputError(what, where=str(source), remedy=f"Give finite floating-point values of shape {shape}")
     return found.astype(np.float32)
 
 
@@ -119,7 +119,7 @@ def _checked(vehicle: Vehicle, source: Path) -> Vehicle:
     elif vehicle.sdf_t_object.shape != (3,) or not np.abs(vehicle.sdf_t_object).max() <= 2.0:
         wrong = "sdf_t_object lies outside the decoder's sphere"
     if wrong:
-        raise InputError(f"{vehicle.name[:80]!r}: {wrong}", where=str(source), remedy="a vehicles file of shift3d")
+        raise InputError(f"{vehicle.name[:80]!r}: {wrong}", where=str(source), remedy="Give a vehicles file of shift3d")
     return vehicle
 
 
@@ -129,7 +129,7 @@ def _readable(key: str, source: Path, read: Callable[[], _T]) -> _T:
         return read()
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         what = f"{key} cannot be read ({type(error).__name__}: {str(error)[:120]!r})"
-        raise InputError(what, where=str(source), remedy="a vehicles file of shift3d") from error
+        raise InputError(what, where=str(source), remedy="Give a vehicles file of shift3d") from error
 
 
 def _from_facts(name: str, facts: Any, code: NDArray[np.float32]) -> Vehicle:

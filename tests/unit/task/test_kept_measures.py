@@ -177,8 +177,8 @@ def test_a_budget_that_no_kind_keeps_is_refused_before_anything_runs() -> None:
     """Each of its tasks would fail, and other values of an axis do not help. A task that runs alone says the same."""
     tight = make_spec(attack=replace(FAMILY, naturalness=1e-6), reference_hash=source_hash(reference_source(WIDE)))
     prepare_naturalness(SPEC, [make_spec(attack=FAMILY)])
-    said = r"space=family, attack\.naturalness=1e-06: no vehicle.*nearest is \w+ \(percentile [\d.]+\)\. Give a larger"
-    with pytest.raises(InputError, match=said):
+    error = r"space=family, attack\.naturalness=1e-06: no vehicle.*nearest is \w+ \(percentile [\d.]+\)\. Give a larger"
+    with pytest.raises(InputError, match=error):
         prepare_naturalness(SPEC, [make_spec(attack=FAMILY), tight])
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=error):
         run_task(tight, load_assets(SPEC))
