@@ -44,7 +44,7 @@ class Vehicle:
     x_sdf = sdf_R_object @ x_object / scale_m + sdf_t_object; a metric distance is scale_m times g.
 
     Attributes:
-        name, body_type: what it is called, and one of the family's body types.
+        name: what it is called.
         latent_code: z0, (code,) float32.
         scale_m: metres per sdf unit.
         sdf_R_object: (3, 3) float64 rotation. sdf_t_object: (3,) float64, sdf units.
@@ -53,7 +53,6 @@ class Vehicle:
     """
 
     name: str
-    body_type: str
     latent_code: NDArray[np.float32]
     scale_m: float
     sdf_R_object: NDArray[np.float64]  # noqa: N815
@@ -136,7 +135,6 @@ def _from_facts(name: str, facts: Any, code: NDArray[np.float32]) -> Vehicle:
     length, width, height = (float(size) for size in facts["size_m"])
     return Vehicle(
         name=name,
-        body_type=str(facts["body_type"]),
         latent_code=code,
         scale_m=float(facts["scale_m"]),
         sdf_R_object=np.asarray(facts["sdf_R_object"], np.float64),
@@ -175,7 +173,6 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
     vehicles = [
         Vehicle(
             name=f"{body_type}_{index}",
-            body_type=body_type,
             latent_code=codes[index],
             scale_m=float(scales[index]),
             sdf_R_object=np.eye(3),
@@ -237,7 +234,6 @@ def decoded_corners(
 
 def framed(
     name: str,
-    body_type: str,
     code: NDArray[np.float32],
     scale_m: float,
     sdf_R_object: NDArray[np.float64],
@@ -252,7 +248,6 @@ def framed(
     centre = np.round((low + high) / 2.0 * scale_m, _ROUNDED_M) / scale_m
     return Vehicle(
         name=name,
-        body_type=body_type,
         latent_code=code,
         scale_m=scale_m,
         sdf_R_object=sdf_R_object,
