@@ -14,6 +14,7 @@ from torch import Tensor
 from shift3d.attack.problem import AttackProblem
 from shift3d.errors import InputError
 from shift3d.placement.sampling import Placement
+from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.task.assets import Assets
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.spec import TaskSpec
@@ -73,6 +74,9 @@ def problem_of(
     spec = dataclasses.replace(case.spec, accuracy_settings=settings)
     problem = build_problem(spec, assets, case.theta)
     problem = dataclasses.replace(problem, detector=assets.detector_of(spec.detector, str(accuracy["detector"])))
-    if code is not None and not torch.equal(code.to(problem.code0.dtype), problem.code0):
-        problem = dataclasses.replace(problem, code0=code.to(problem.code0.dtype), space=None)
-    return problem.with_space()
+    if code is not None and not torch.equal(code := code.to(problem.code0.dtype), problem.code0):
+        space = problem.space
+        if space is not None:
+            space = SdfGrid.of(problem.field_of(code), problem.vehicle, problem.settings)
+        problem = dataclasses.replace(problem, code0=code, space=space)
+    return problem

@@ -69,7 +69,6 @@ def attack_pose(
 
     Source: SHIFT3D eq. loss_theta and Algorithm 1.
     """
-    problem = problem.with_space()
     return descend(problem, pose_search(problem, limits), steps, alpha, on_step, selection_window)
 
 

@@ -91,14 +91,6 @@ class AttackProblem:
         kept = math.ceil(self.kept_share * self.constraints.min_object_points)  # of one return, one: never none
         return replace(self.constraints, min_object_points=kept)
 
-    def with_space(self) -> AttackProblem:
-        """The same problem with an SDF grid of code0, where the settings use one."""
-        if self.space is not None or not self.settings.sdf_grid:
-            return self
-        with torch.no_grad():
-            sdf = self.field_of(self.code0.detach())
-            return replace(self, space=SdfGrid.of(sdf, self.vehicle, self.settings))
-
     def space_for(self, code: Tensor) -> SdfGrid | None:
         """The SDF grid, if it belongs to this code."""
         return self.space if torch.equal(code, self.code0) else None

@@ -99,7 +99,7 @@ def edited_code(code0: Tensor, box: BoxOfParameters, edit: str, where: str) -> T
     """
     name, _, text = edit.rpartition(":")
     if name not in box.names:
-        raise InputError(f"no parameter {name or text!r}", where, f"NAME:PLACE, NAME one of: {', '.join(box.names)}")
+        raise InputError(f"no parameter {name or text!r}", where, f"Give NAME:PLACE; names are: {', '.join(box.names)}")
     try:
         place = float(text)
     except ValueError:

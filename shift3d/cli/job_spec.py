@@ -70,7 +70,7 @@ def read_job(name: str) -> JobSpec:
         return JobSpec.model_validate(values)
     except ValidationError as error:
         if isinstance(values, dict) and values.keys() & {"apiVersion", "cluster_name"}:
-            what, remedy = f"job={name} is for another tool", "Its first lines say how it is used"
+            what, remedy = f"job={name} is for another tool", "Use it as its first lines say"
         else:
             first = error.errors()[0]
             what = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"

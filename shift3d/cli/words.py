@@ -90,16 +90,17 @@ def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
 
     for word in words:
         if word.partition("=")[0].split(".")[0] != "runner":
-            remedy = "Only the runner can be set: runner=local, runner.KEY="
+            remedy = "Give settings of the runner alone: runner=local, runner.KEY=VALUE"
             raise InputError(f"cannot read {word!r}", where=command, remedy=remedy)
-    return next(iter(expand(compose_sweep("default", words)))).runner
+    return next(iter(expand(compose_sweep("default", words, own=False)))).runner
 
 
 def _words_of_folder(words: list[str]) -> list[str]:
     """The words that a sweep was begun with where its output folder stands for them; words after it are added.
 
-    A sweep's name is that, whatever the current folder holds: ./NAME is the folder.
-    Raises: InputError where out= names another folder.
+    A sweep's name is that, whatever the current folder holds: ./NAME is the folder, as is any word with a slash that is
+    no file.
+    Raises: InputError where out= names another folder, or the folder is no sweep's.
     """
     if not words or "=" in words[0] or words[0] in files("sweeps"):
         return words
@@ -107,7 +108,7 @@ def _words_of_folder(words: list[str]) -> list[str]:
     from shift3d.sweep.planning.spec_file import read_spec
 
     folder = as_location(words[0])
-    if not (folder / "spec.yaml").is_file():
+    if not (folder / "spec.yaml").is_file() and ("/" not in words[0] or folder.is_file()):
         return words
     if any(word.startswith("out=") and as_location(word.removeprefix("out=")) != folder for word in words[1:]):
         what, remedy = "is a sweep's folder, which is where it goes on", "Leave out= away, or give the sweep's name"

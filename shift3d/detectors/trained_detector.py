@@ -51,7 +51,7 @@ class TrainedDetector(SuppressedProposals):
         y = self._span((centre_xy[1] - grid.y_min_m) / grid.cell_m, radius, grid.num_y)
         if x is None or y is None:
             what = f"no detector cell within {radius_m:g} m of ({centre_xy[0]:g}, {centre_xy[1]:g})"
-            raise InputError(what, where="detector window", remedy="choose a centre inside the detector's range")
+            raise InputError(what, where="detector window", remedy="Choose a centre inside the detector's range")
         return BevWindow(*(part for pair in zip(x, y) for part in pair))
 
     def _span(self, centre: float, radius: float, cells: int) -> tuple[int, int, int, int] | None:

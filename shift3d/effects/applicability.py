@@ -124,7 +124,7 @@ def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFac
         wanted = () if wanted == "none" else (wanted,)
     for name in wanted:
         if name not in NEEDS:
-            raise InputError(f"unknown effect {name!r}", "effects", f"Known: auto, none, {', '.join(NEEDS)}")
+            raise InputError(f"unknown effect {name!r}", "effects", f"Choose from auto, none, {', '.join(NEEDS)}")
         if not NEEDS[name].present(scene):
             what = f"scene {scene.scene_id} has no data for {name}: {NEEDS[name].lacking}"
             raise InputError(what, "effects", NEEDS[name].remedy)

@@ -150,7 +150,7 @@ def stable_objects(folder: LocationLike, detector: str, weights_hash: str, metho
     found = scored_objects(folder, detector, ("adversarial",))
     where = str(found.folder)
     if any(row.stable is None for row in found.objects):
-        remedy = f"shift3d verify {where}"
+        remedy = f"Verify it first: shift3d verify {where}"
         raise InputError("is not verified: which objects are stable is not known", where=where, remedy=remedy)
     refuse_other_weights(found, weights_hash, "the tuning starts from", "Give start_from= the weights it attacked")
     refuse_other_splits((row.spec for row in found.objects), where)

@@ -32,7 +32,7 @@ def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
         raise InputError(
             f"box {row} has {names[column]} = {boxes[row, column]}",
             where,
-            "Sizes must be positive and everything finite.",
+            "Give positive sizes, and finite numbers alone.",
         )
 
 

@@ -117,14 +117,14 @@ class RenderSettings:
     def __post_init__(self) -> None:
         if self.solver not in get_args(Solver):
             found = f"solver is {self.solver!r}"
-            raise InputError(found, where="render settings", remedy=f"one of {', '.join(get_args(Solver))}")
+            raise InputError(found, where="render settings", remedy=f"Choose from {', '.join(get_args(Solver))}")
         for name in _POSITIVE + _NOT_NEGATIVE:
             # NaN compares false: a margin of NaN would leave no beam and say nothing.
             value, must = getattr(self, name), "be positive" if name in _POSITIVE else "not be negative"
             if not (value > 0 if name in _POSITIVE else value >= 0):
                 raise InputError(f"{name} must {must}", where=f"render settings: {name}={value}")
         if not self.dtype.is_floating_point:
-            raise InputError(f"dtype is {self.dtype}", where="render settings", remedy="float32 or float64")
+            raise InputError(f"dtype is {self.dtype}", where="render settings", remedy="Give float32 or float64")
         self.check_tolerance(SMALLEST_SCALE_M)
 
     def reachable_residual_m(self, scale_m: float, range_m: float = 100.0) -> float:
@@ -145,7 +145,7 @@ class RenderSettings:
         raise InputError(
             f"|g| <= {self.tolerance_m:g} m cannot be reached in {dtype}, whose rounding alone is {reachable:.1e} m",
             where=f"render settings: tolerance_m={self.tolerance_m:g}",
-            remedy=f"tolerance_m of {reachable:.1e} or more{finer}",
+            remedy=f"Give tolerance_m={reachable:.1e} or more{finer}",
         )
 
     def with_(self, **changes: object) -> RenderSettings:
@@ -206,6 +206,6 @@ def preset(name: str) -> RenderSettings:
         raise InputError(
             f"unknown accuracy preset {name!r}",
             where="render settings",
-            remedy=f"one of {', '.join(PRESETS)}",
+            remedy=f"Choose from {', '.join(PRESETS)}",
         )
     return PRESETS[name]

@@ -88,7 +88,6 @@ class Reconstructor:
 
 def vehicle_of(
     name: str,
-    kind: str,
     decoder: Decoder | DeepSdfNetwork,
     code: NDArray[np.float32],
     scale_m: float,
@@ -103,4 +102,4 @@ def vehicle_of(
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     length, width, height = (float(side) for side in (high - low) * scale_m)
     centre = sdf_R_object @ ((low + high) / 2)
-    return Vehicle(name, kind, code, scale_m, sdf_R_object, centre, (length, width, height))
+    return Vehicle(name, code, scale_m, sdf_R_object, centre, (length, width, height))

@@ -79,7 +79,7 @@ def read_records(file: Location, kind: str, columns: int) -> NDArray[np.float32]
     raw, size = read_bytes(file, kind), 4 * columns
     if not raw or len(raw) % size:
         what = f"{counted(len(raw), 'byte')} is not a whole number of {size}-byte points"
-        raise InputError(what, str(file), "The file is truncated: copy it again.")
+        raise InputError(what, str(file), "Copy the file again: it is truncated.")
     return np.frombuffer(raw, dtype="<f4").reshape(-1, columns).astype(np.float32)
 
 

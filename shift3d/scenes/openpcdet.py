@@ -192,7 +192,7 @@ def _box(words: Sequence[str], where: str) -> NDArray[np.float64]:
     except ValueError as error:
         raise InputError(f"a column that is no number ({error})", where, f"Write {' '.join(_COLUMNS)}") from error
     if not np.isfinite(box).all() or not (box[3:6] > 0.0).all():
-        raise InputError(f"a box of {box[3:6].tolist()} m", where, "Sizes must be positive, everything finite")
+        raise InputError(f"a box of {box[3:6].tolist()} m", where, "Write positive sizes, and finite numbers alone")
     if abs(box[6]) > _TWO_TURNS_RAD:
         raise InputError(f"a heading of {box[6]:g} rad, over two turns", where, "Write headings in radians")
     return box

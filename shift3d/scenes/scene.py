@@ -66,7 +66,7 @@ class Labels:
         if (self.num_points < 0).any():
             row = int(np.argmax(self.num_points < 0))
             what = f"row {row} is {self.num_points[row]}"
-            raise InputError(what, f"{where}, labels.num_points", "Counts start at 0.")
+            raise InputError(what, f"{where}, labels.num_points", "Give counts of at least 0.")
 
 
 @dataclass(frozen=True)

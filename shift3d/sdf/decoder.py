@@ -124,9 +124,9 @@ class Decoder(nn.Module):
         Raises: InputError for a code of another length or with values that are not finite.
         """
         if z.shape != (self.architecture.code_length,):
-            raise InputError(f"shape {tuple(z.shape)}", "latent code", f"({self.architecture.code_length},)")
+            raise InputError(f"shape {tuple(z.shape)}", "latent code", f"Give {self.architecture.code_length} values")
         if not bool(torch.isfinite(z).all()):
-            raise InputError("values that are not finite", where="latent code", remedy="a finite code")
+            raise InputError("values that are not finite", where="latent code", remedy="Give a finite code")
         weights, biases = [], []
         for index, layer in enumerate(self.layers):
             weight, bias = parameters_of(layer)
@@ -187,11 +187,11 @@ def _architecture(metadata: dict[str, str], tensors: int, where: str) -> Archite
     try:
         architecture = Architecture(**json.loads(metadata["architecture"]))
     except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise InputError("no decoder architecture in its metadata", where, "a decoder's weights") from error
+        raise InputError("no decoder architecture in its metadata", where, "Give a decoder's weights") from error
     # Before anything of these sizes is made: the file says them, and its tensors are what there is memory for.
     if not architecture.can_be() or 2 * (architecture.hidden_layers + 1) != tensors:
         what = f"no decoder with {tensors} tensors is made like {architecture}"
-        raise InputError(what, where=where, remedy="a decoder's weights")
+        raise InputError(what, where=where, remedy="Give a decoder's weights")
     return architecture
 
 

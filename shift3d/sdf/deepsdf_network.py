@@ -133,7 +133,7 @@ class DeepSdfNetwork(nn.Module):
         """
         if z.shape != (self.specs.code_length,) or not bool(torch.isfinite(z).all()):
             what = f"shape {tuple(z.shape)}, or values that are not finite"
-            raise InputError(what, where="latent code", remedy=f"a finite code ({self.specs.code_length},)")
+            raise InputError(what, "latent code", f"Give a finite code of shape ({self.specs.code_length},)")
         weights, biases = [], []
         for layer, linear in enumerate(self.layers):
             weight, bias = parameters_of(linear)

@@ -54,7 +54,7 @@ def experiment_files(folder: Path | str, checkpoint: str = "latest") -> tuple[Pa
     for path in (weights, codes):
         if not path.is_file():
             there = sorted(found.stem for found in path.parent.glob("*.pth"))
-            remedy = f"Checkpoints there: {', '.join(there)}" if there else _LAYOUT
+            remedy = f"Choose a checkpoint from {', '.join(there)}" if there else _LAYOUT
             raise InputError("no such file", where=str(path), remedy=remedy)
     return specs, weights, codes
 
@@ -116,14 +116,14 @@ def _read_specs(path: Path) -> tuple[dict[str, Any], NetworkSpecs]:
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         what = f"no readable description of a network ({type(error).__name__}: {str(error)[:200]})"
-        raise InputError(what, where=str(path), remedy="It needs CodeLength and NetworkSpecs with dims") from error
+        raise InputError(what, where=str(path), remedy="Give CodeLength, and NetworkSpecs with dims") from error
     name = values.get("NetworkArch", _NETWORK)
     if name != _NETWORK:
-        raise InputError(f"NetworkArch is {str(name)[:80]!r}", where=str(path), remedy=f"Only {_NETWORK} is known")
+        raise InputError(f"NetworkArch is {str(name)[:80]!r}", str(path), f"Give a checkpoint of {_NETWORK}")
     sizes = [size for layer in range(specs.layers) for size in specs.size(layer)]
     if not specs.dims or specs.code_length < 1 or min(sizes) < 1:
         what = f"NetworkSpecs gives a layer of size {min(sizes)}"
-        raise InputError(what, where=str(path), remedy="dims must leave room for latent_in and xyz_in_all")
+        raise InputError(what, where=str(path), remedy="Give dims that leave room for latent_in and xyz_in_all")
     return values, specs
 
 
@@ -151,11 +151,11 @@ def _codes(content: dict[str, Any], length: int, path: Path) -> Tensor:
         alike = len({code.numel() for code in found}) == 1
         found = torch.stack([code.detach().reshape(-1) for code in found]) if alike else None
     if not is_plain(found) or found.ndim < 2 or not len(found):
-        raise InputError("no table of latent_codes", where=str(path), remedy="latent_codes: N x code, or a list")
+        raise InputError("no table of latent_codes", str(path), "Save latent_codes as N x code, or as a list")
     table: Tensor = found.detach().reshape(len(found), -1).float()
     if table.shape[1] != length:
         what = f"latent_codes are {len(table)} codes of length {table.shape[1]}"
-        raise InputError(what, where=str(path), remedy=f"specs.json says CodeLength {length}")
+        raise InputError(what, where=str(path), remedy=f"Give codes of CodeLength {length}, as in specs.json")
     if not float(table.abs().max()) <= LARGEST_INPUT:  # so that NaN does not pass
         what = f"latent_codes hold values that are not finite, or beyond {LARGEST_INPUT:g}"
         raise InputError(what, where=str(path), remedy="Copy it again")
@@ -170,7 +170,7 @@ def _instances(values: dict[str, Any], count: int, path: Path) -> tuple[str, ...
     names = tuple(str(name) for name in listed) if isinstance(listed, list) else ()
     if len(names) != count or len(set(names)) != count:
         what = f"Instances are {len(set(names))} names for {count} codes"
-        raise InputError(what, where=str(path), remedy="One name a code, in code order, each once")
+        raise InputError(what, where=str(path), remedy="Give one name a code, in code order, each once")
     return names
 
 
@@ -206,7 +206,7 @@ def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decode
 def _take(left: dict[str, Any], name: str, path: Path) -> Tensor:
     value = left.pop(name, None)
     if not isinstance(value, Tensor):
-        raise InputError(f"tensor {name} is missing", where=str(path), remedy="specs.json asks for it")
+        raise InputError(f"tensor {name} is missing", where=str(path), remedy="Save it, too: specs.json asks for it")
     if not is_plain(value):
         raise InputError(f"tensor {name} {described(value)}", where=str(path), remedy="Save it as dense float32")
     return value.float()
@@ -222,7 +222,7 @@ def _folded(left: dict[str, Any], name: str, path: Path) -> Tensor:
             g, v = _take(left, f"{name}.{length}", path), _take(left, f"{name}.{direction}", path)
             if v.ndim != 2 or g.numel() != len(v):
                 what = f"{name}: {tuple(g.shape)} lengths for directions {tuple(v.shape)}"
-                raise InputError(what, where=str(path), remedy="one length a row")
+                raise InputError(what, where=str(path), remedy="Save one length a row")
             lengths = v.norm(dim=1, keepdim=True)
             if not bool(torch.isfinite(lengths).all()):
                 # Squares beyond float32: the quotient would be zero, and the layer gone without a word.

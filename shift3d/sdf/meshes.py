@@ -117,7 +117,7 @@ def zero_surface(values: Array, step: float) -> trimesh.Trimesh:
     Raises: InputError when there is none.
     """
     if not (values.min() < 0.0 < values.max()):
-        raise InputError("the field has no surface", where="extract_mesh", remedy="a latent code nearer to the prior")
+        raise InputError("the field has no surface", "extract_mesh", "Give a latent code nearer to the prior")
     padded = np.pad(values, 1, constant_values=float(np.abs(values).max()))
     vertices, triangles, _, _ = marching_cubes(padded, 1.3e-6, spacing=(step,) * 3)
     mesh = trimesh.Trimesh(vertices - HALF_EXTENT - step, triangles[:, ::-1], process=True)

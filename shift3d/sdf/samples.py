@@ -84,7 +84,7 @@ def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> S
     Source: Park et al. 2019 (SHIFT3D trains its DeepSDF "as the original"); the sphere is centred on the mesh's box.
     """
     if not mesh.is_watertight and not is_closed(mesh):
-        raise InputError("the mesh is not closed", where="sample_sdf", remedy="repair it, or decode one from its scan")
+        raise InputError("the mesh is not closed", where="sample_sdf", remedy="Repair it, or decode one from its scan")
     scale = bounding_scale(mesh)
     unit = trimesh.Trimesh((mesh.vertices - mesh.bounds.mean(axis=0)) / scale, mesh.faces, process=False)
     return SdfSamples(*sample_sdf_within(unit, count, rng), scale)

@@ -68,15 +68,15 @@ def checked_tensors(
     for name, shape in shapes.items():
         value, label = tensors.get(name), called.get(name, name)
         if value is None:
-            raise InputError(f"tensor {label} is missing", where=where, remedy=f"expected {shape}")
+            raise InputError(f"tensor {label} is missing", where, f"Give shape {shape}")
         if tuple(value.shape) != shape:
-            raise InputError(f"tensor {label} has shape {tuple(value.shape)}", where=where, remedy=f"expected {shape}")
+            raise InputError(f"tensor {label} has shape {tuple(value.shape)}", where, f"Give shape {shape}")
         if not is_plain(value):
             raise InputError(f"tensor {label} {described(value)}", where=where, remedy="Save it as dense float32")
         found[name] = without_subnormals(value.detach().float())
         if not bool(torch.isfinite(found[name]).all()):
             what = f"tensor {label} holds values that are not finite in float32"
-            raise InputError(what, where=where, remedy="copy it again")
+            raise InputError(what, where=where, remedy="Copy it again")
     return found
 
 

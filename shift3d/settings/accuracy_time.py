@@ -86,9 +86,13 @@ class FrontierSweep(Config):
     frontier: FrontierConfig
 
     @model_validator(mode="after")
-    def _a_gradient_to_measure(self) -> Self:
+    def _one_detector_with_a_gradient(self) -> Self:
         if self.detector.name == ONNX:
             raise ValueError("the frontier measures gradients, and an ONNX file gives none: give another detector=NAME")
+        for name, file in self.detector.other_weights.items():
+            if file and name != self.detector.name:
+                what = f"detector.other_weights.{name} means nothing: the frontier measures {self.detector.name} alone"
+                raise ValueError(what, f"Leave it out, or give detector={name}")
         return self
 
 

@@ -48,18 +48,19 @@ class Composed:
     axes: tuple[Axis, ...]
 
 
-def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
+def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) -> Composed:
     """Compose a sweep file with overrides, once, whatever the number of tasks.
 
     An override with several values (``vehicle=coupe,suv``) is an axis, and replaces the sweep file's axis of
     the same key in its place; the order is Hydra's own multirun order. ``size=small`` stands for the overrides that
-    the sweep's file lists under ``small``; those that are given come after them.
+    the sweep's file lists under ``small``; those that are given come after them. own: a file of the folder where the
+    command runs comes first; False: of a sweep that ships, as where a command reads its settings from one unasked.
 
     Raises: InputError: unknown sweep, group, option or setting; an unreadable or empty override; a continuous axis; a
     small size of a sweep that has none.
     """
     where = f"sweep {name}"
-    sweeps = files("sweeps")
+    sweeps = files("sweeps") if own else {name: shipped("sweeps") / f"{name}.yaml"}
     if name not in sweeps:
         raise messages.choice_error("sweep", name, sweeps, "sweeps/", looked_in("sweeps"))
     for key, equals, value in (override.partition("=") for override in overrides):
@@ -67,10 +68,10 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
             raise empty_error(key, where)  # a setting that is a text would take it
     compose, parse = _hydra(sweeps[name], where)
     stated, params = compose([])
-    own = [f"{key}={value}" for key, value in params.items()]
+    axes_stated = [f"{key}={value}" for key, value in params.items()]
     small = _small(stated.get(_SMALL), parse(list(overrides)), where)
-    own, requested = ([quoted(word, text_settings(Config)) for word in words] for words in (own, overrides))
-    words = [*own, *small, *requested]
+    listed, requested = ([quoted(word, text_settings(Config)) for word in words] for words in (axes_stated, overrides))
+    words = [*listed, *small, *requested]
     axis_texts, fixed = _split(parse(words), where)
     first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
     base, _ = compose([*fixed, *first])
@@ -208,7 +209,7 @@ def _check_options(group: str, override: Any, where: str) -> None:
         raise InputError(f"{override.input_line}: no setting is named", where=where, remedy="Write key=value")
     options, value = _Groups().get_group_options(group), override.value()
     if options and isinstance(value, list) and len(value) > 1 and group not in _MERGED:
-        remedy = f"Several are an axis: {group}={','.join(map(str, value))}"
+        remedy = f"Write several as an axis: {group}={','.join(map(str, value))}"
         raise InputError(f"{override.input_line}: {group} takes one option, and the last would win", where, remedy)
     for name in value if isinstance(value, list) else [value]:
         if options and not isinstance(name, str | QuotedString):

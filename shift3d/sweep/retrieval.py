@@ -84,5 +84,5 @@ def check_decoders(plan: Plan, pool: Plan, where: str) -> None:
 def _pool_bytes(pool: Location) -> bytes:
     path = pool / "final" / f"{_POOL}.parquet"
     if not path.is_file():
-        raise InputError("no finished pool", where=str(pool), remedy="The command that began it resumes it")
+        raise InputError("no finished pool", where=str(pool), remedy="Run the command that began it: it resumes")
     return path.read_bytes()

@@ -229,7 +229,7 @@ def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None
     """Make what tasks compare shapes with now, with a progress bar, so that workers find it in the cache.
 
     templates: specs of the tasks, without their scene. A search over kinds within a budget needs each kind's measure,
-    and any other search a vehicle that keeps the budget itself.
+    and a kind that keeps the budget itself; any other search a vehicle that does.
     Raises: InputError for a reference set that cannot be made, or naming the vehicles that lie beyond a budget.
     """
     if spec.reference is None:
@@ -241,8 +241,9 @@ def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None
         return
     vehicles = vehicle_source(spec.vehicles)
     with threads(spec.threads):
-        if any(t.attack.space == "family" for t in bounded):
-            kept_measures(vehicles, vehicles.decoder(), measures, source_hash(source), show=True)
+        if budgets := {t.attack.naturalness for t in bounded if t.attack.space == "family"}:
+            kinds = kept_measures(vehicles, vehicles.decoder(), measures, source_hash(source), show=True)
+            kinds_within(min(budgets), kinds)
         _require_within([t for t in bounded if t.attack.space != "family"], vehicles, measures)
 
 
@@ -256,11 +257,26 @@ def _require_within(templates: Sequence[TaskSpec], vehicles: VehicleSource, meas
         vehicle = vehicles.vehicle(name)
         own = measures.of_code(vehicle, vehicles.decoder(), vehicle.latent_code)
         if missed := [f"{budget:g}" for budget in sorted(wanted) if not own.within(budget)]:
-            reasons = ", ".join((f"percentile {own.percentile:.3g}", *own.out_of_range))
-            beyond.append(f"{name} ({reasons}) beyond {' and '.join(missed)}")
+            beyond.append(f"{_reasons(name, own)} beyond {' and '.join(missed)}")
     if beyond:
         what = f"unchanged vehicles lie beyond the budget: {'; '.join(beyond)}"
         raise InputError(what, "attack.naturalness", "Give a larger budget, or leave these vehicles out")
+
+
+def kinds_within(budget: float, kinds: Mapping[str, NaturalnessMeasure]) -> list[str]:
+    """Names of the kinds that keep a budget of naturalness themselves. Raises InputError where none does."""
+    names = [name for name, own in kinds.items() if own.within(budget)]
+    if not names:
+        nearest = min(kinds, key=lambda name: (len(kinds[name].out_of_range), kinds[name].percentile))
+        what = f"no vehicle of the set lies within the budget; the nearest is {_reasons(nearest, kinds[nearest])}"
+        where = f"attack.space=family, attack.naturalness={budget:g}"
+        raise InputError(what, where, "Give a larger attack.naturalness, or other vehicles")
+    return names
+
+
+def _reasons(name: str, own: NaturalnessMeasure) -> str:
+    """A vehicle with what a budget is held against."""
+    return f"{name} ({', '.join((f'percentile {own.percentile:.3g}', *own.out_of_range))})"
 
 
 def render_settings(spec: TaskSpec) -> RenderSettings:
@@ -272,7 +288,7 @@ def render_settings(spec: TaskSpec) -> RenderSettings:
     values = current_settings(spec.accuracy_settings, where)
     values.pop("detector", None)
     if values.get("dtype") not in _DTYPES:
-        raise InputError(f"accuracy.render.dtype is {values.get('dtype')!r}", where, "float32 or float64")
+        raise InputError(f"accuracy.render.dtype is {values.get('dtype')!r}", where, "Give float32 or float64")
     values["dtype"] = _DTYPES[values["dtype"]]
     return PRESETS.get(spec.accuracy, STANDARD).with_(**values)
 

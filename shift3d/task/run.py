@@ -28,7 +28,7 @@ from shift3d.task.rows import Rows
 from shift3d.task.scoring import Candidate, Nearby
 from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, search_task
 from shift3d.task.spec import TaskSpec
-from shift3d.task.transfer import put_elsewhere
+from shift3d.task.transfer import places_elsewhere, put_elsewhere
 from shift3d.vehicles.vehicle import Vehicle
 
 
@@ -105,6 +105,10 @@ def _candidates(
 
     searched: the detector at the precision that is descended.
     """
+    if spec.attack.search_scenes:
+        began = time.perf_counter()
+        places = places_elsewhere(spec, assets)
+        rows.time("adversarial", "search_scenes", 1e3 * (time.perf_counter() - began), len(places))
     found = search_task(spec, replace(problem, detector=searched), assets)
     rows.attack(found)
     code, theta, vehicle = found.latent_code, found.theta, _other_than(problem, found)

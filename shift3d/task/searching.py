@@ -21,7 +21,7 @@ from shift3d.attack.space import CodeSpace, edited_code, free_space, parameter_s
 from shift3d.attack.trials import Family, Search, unusual_first
 from shift3d.errors import InputError
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets, require_planned
+from shift3d.task.assets import Assets, kinds_within, require_planned
 from shift3d.task.problem import as_vehicle
 from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import MovedTask, problems_elsewhere
@@ -35,7 +35,6 @@ def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Attac
     Raises: InputError for a space that the task's vehicles do not have.
     """
     attack = spec.attack
-    problem = problem if spec.mode == "shape" else problem.with_space()
     search, family = _searches(spec, problem, assets)
     rng = generator("search", spec.task_id)
     if attack.search == "expectation":
@@ -50,7 +49,6 @@ def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Attac
 
 def best_of_draws(spec: TaskSpec, problem: AttackProblem, assets: Assets, distance: float) -> AttackResult:
     """The best of as many draws as the task's search has evaluations. distance: see `attack.trials.Search.draw`."""
-    problem = problem if spec.mode == "shape" else problem.with_space()
     rng = generator("random search", spec.task_id)
     search, family = _searches(spec, problem, assets)
     return draw_best(problem, search, spec.attack.steps, rng, distance, family=family)
@@ -97,12 +95,7 @@ def _search(
 def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets) -> Family:
     """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn."""
     budget = spec.attack.naturalness
-    names = assets.vehicles.kinds()
-    if budget:
-        names = [name for name, own in assets.naturalness_of_kinds(spec).items() if own.within(budget)]
-    if not names:
-        where = f"attack.space=family, attack.naturalness={budget:g}"
-        raise InputError("no vehicle of the set lies within the budget", where, "Give a larger attack.naturalness")
+    names = kinds_within(budget, assets.naturalness_of_kinds(spec)) if budget else assets.vehicles.kinds()
 
     @functools.cache
     def kind(number: int) -> tuple[AttackProblem, Search]:

@@ -22,20 +22,20 @@ MovedTask = tuple[TaskSpec, AttackProblem]
 """A task moved to another scene, and its problem there."""
 
 
-def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[MovedTask]:
-    """The task's vehicle at one place of each of the scenes that a universal shape is searched in beside its own.
+def places_elsewhere(spec: TaskSpec, assets: Assets) -> list[tuple[TaskSpec, Tensor]]:
+    """The task in each of the scenes that a universal shape is searched in beside its own, and its vehicle's pose (6,)
+    there. A scene without room is left out.
 
-    problem: the task's own, whose detector they share. A scene without room is left out.
     Raises: InputError: a scene that cannot be loaded, or is not what the task was planned with.
     """
-    found: list[MovedTask] = []
-    for other in spec.transfer_scenes[: spec.attack.search_scenes]:
-        moved = _moved(spec, other, assets)
-        theta = placed_pose(moved, assets)
-        if theta is not None:
-            there = build_problem(moved, assets, theta)
-            found.append((moved, replace(there, detector=problem.detector)))
-    return found
+    moved = (_moved(spec, other, assets) for other in spec.transfer_scenes[: spec.attack.search_scenes])
+    return [(there, theta) for there in moved if (theta := placed_pose(there, assets)) is not None]
+
+
+def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[MovedTask]:
+    """The task's vehicle at each of `places_elsewhere`. problem: the task's own, whose detector they share."""
+    places = places_elsewhere(spec, assets)
+    return [(there, replace(build_problem(there, assets, theta), detector=problem.detector)) for there, theta in places]
 
 
 def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehicle | None = None) -> Iterator[Row]:

@@ -25,11 +25,11 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises: InputError naming the file when there is none, or it cannot be read as tensors and plain values.
     """
     if not path.is_file():
-        raise InputError("no such checkpoint", where=str(path), remedy="train first")
+        raise InputError("no such checkpoint", where=str(path), remedy="Train first")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
-        raise InputError("not a readable checkpoint", where=str(path), remedy="delete it to start over") from error
+        raise InputError("not a readable checkpoint", where=str(path), remedy="Delete it to start over") from error
     if not isinstance(state, dict):
-        raise InputError("not a checkpoint of a training", where=str(path), remedy="delete it to start over")
+        raise InputError("not a checkpoint of a training", where=str(path), remedy="Delete it to start over")
     return state

@@ -131,7 +131,7 @@ class DeepSdfVehicles(VehicleSource):
         low, high = decoded_corners(code, self._scaled, sdf_R_object)
         frame.check_direction(high - low, f"{self._folder}, {name}", "vehicle.")
         scale_m = round(float(frame.length_m / (high - low)[0]), 4)
-        return framed(name, name.split("_")[0], code, scale_m, sdf_R_object, low, high)
+        return framed(name, code, scale_m, sdf_R_object, low, high)
 
     def _frame_of(self, name: str) -> MeshFrame:
         fitting = [key for key in self._frames if name.startswith(key)]

@@ -102,7 +102,7 @@ def fit_meshes(
         facts.append(known)
     if not fits:
         first = next(iter(refused.values()))
-        raise InputError(f"none of {len(files)} meshes can be used", where=str(path), remedy=f"The first: {first}")
+        raise InputError(f"none of {len(files)} meshes can be used", str(path), f"Repair them, as the first: {first}")
     provenance = {
         "model": "codes auto-decoded from meshes",
         "decoder": str(source),

@@ -70,7 +70,7 @@ class MeshFrame:
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         extent = high - low
         if extent.min() < 1e-3 * extent.max() or extent.max() <= 0.0:
-            raise InputError("the mesh is flat", where=where, remedy="A vehicle has length, width and height")
+            raise InputError("the mesh is flat", where=where, remedy="Give a vehicle, with length, width and height")
         self.check_direction(extent, where)
         scale = self.length_m / extent[0] if self.length_m is not None else UNITS_M[self.unit or "m"]
         if self.length_m is None:

@@ -88,7 +88,7 @@ def read_parameters(path: Path, name: str) -> BoxOfParameters:
     wrong = [names[index] for index in np.flatnonzero(~((low < high) & (low <= start) & (start <= high)))]
     if wrong or not names:
         what = f"{name[:80]!r}: the range of {wrong[0] if wrong else 'no parameter'} does not hold the vehicle"
-        raise InputError(what, str(source), "a vehicles file of shift3d")
+        raise InputError(what, str(source), "Give a vehicles file of shift3d")
     return BoxOfParameters(basis, start, low, high, names)
 
 

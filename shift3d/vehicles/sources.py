@@ -152,7 +152,7 @@ class VehicleSet(VehicleSource):
         if number and name not in self._drawn:
             code = drawn_code(found.latent_code, self.parameters(kind), self.parameters(name))
             corners = self._corners(code, found.sdf_R_object)
-            self._drawn[name] = framed(name, found.body_type, code, found.scale_m, found.sdf_R_object, *corners)
+            self._drawn[name] = framed(name, code, found.scale_m, found.sdf_R_object, *corners)
         return self._drawn[name] if number else found
 
     def _corners(self, code: NDArray[np.float32], sdf_R_object: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -44,7 +44,7 @@ class Vehicle:
     x_sdf = sdf_R_object @ x_object / scale_m + sdf_t_object; a metric distance is scale_m times g.
 
     Attributes:
-        name, body_type: what it is called, and one of the family's body types.
+        name: what it is called.
         latent_code: z0, (code,) float32.
         scale_m: metres per sdf unit.
         sdf_R_object: (3, 3) float64 rotation. sdf_t_object: (3,) float64, sdf units.
@@ -53,7 +53,6 @@ class Vehicle:
     """
 
     name: str
-    body_type: str
     latent_code: NDArray[np.float32]
     scale_m: float
     sdf_R_object: NDArray[np.float64]  # noqa: N815
@@ -81,7 +80,7 @@ def described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any
     except (KeyError, ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
-        raise InputError(f"no {key} in its metadata", where=str(source), remedy="a vehicles file of shift3d")
+        raise InputError(f"no {key} in its metadata", where=str(source), remedy="Give a vehicles file of shift3d")
     return found
 
 
@@ -90,7 +89,7 @@ def tensor_of(
 ) -> NDArray[np.float32]:
     """A tensor by name, float32. Raises: InputError where it is missing, of another shape or kind, or not finite."""
     if name not in tensors:
-        raise InputError(f"tensor {name} is missing", where=str(source), remedy=f"expected shape {shape}")
+        raise InputError(f"tensor {name} is missing", where=str(source), remedy=f"Give it with shape {shape}")
     found = tensors[name]
     usable = found.shape == shape and np.issubdtype(found.dtype, np.floating)
     # The comparison is false for NaN.
@@ -98,7 +97,7 @@ def tensor_of(
         what = (
             f"tensor {name} is {found.dtype} of shape {found.shape}, or holds values not finite or beyond {LARGEST:g}"
         )
-        raise InputError(what, where=str(source), remedy=f"expected finite floating-point values of shape {shape}")
+        raise InputError(what, where=str(source), remedy=f"Give finite floating-point values of shape {shape}")
     return found.astype(np.float32)
 
 
@@ -119,7 +118,7 @@ def _checked(vehicle: Vehicle, source: Path) -> Vehicle:
     elif vehicle.sdf_t_object.shape != (3,) or not np.abs(vehicle.sdf_t_object).max() <= 2.0:
         wrong = "sdf_t_object lies outside the decoder's sphere"
     if wrong:
-        raise InputError(f"{vehicle.name[:80]!r}: {wrong}", where=str(source), remedy="a vehicles file of shift3d")
+        raise InputError(f"{vehicle.name[:80]!r}: {wrong}", where=str(source), remedy="Give a vehicles file of shift3d")
     return vehicle
 
 
@@ -129,14 +128,13 @@ def _readable(key: str, source: Path, read: Callable[[], _T]) -> _T:
         return read()
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         what = f"{key} cannot be read ({type(error).__name__}: {str(error)[:120]!r})"
-        raise InputError(what, where=str(source), remedy="a vehicles file of shift3d") from error
+        raise InputError(what, where=str(source), remedy="Give a vehicles file of shift3d") from error
 
 
 def _from_facts(name: str, facts: Any, code: NDArray[np.float32]) -> Vehicle:
     length, width, height = (float(size) for size in facts["size_m"])
     return Vehicle(
         name=name,
-        body_type=str(facts["body_type"]),
         latent_code=code,
         scale_m=float(facts["scale_m"]),
         sdf_R_object=np.asarray(facts["sdf_R_object"], np.float64),
@@ -175,7 +173,6 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
     vehicles = [
         Vehicle(
             name=f"{body_type}_{index}",
-            body_type=body_type,
             latent_code=codes[index],
             scale_m=float(scales[index]),
             sdf_R_object=np.eye(3),
@@ -237,7 +234,6 @@ def decoded_corners(
 
 def framed(
     name: str,
-    body_type: str,
     code: NDArray[np.float32],
     scale_m: float,
     sdf_R_object: NDArray[np.float64],
@@ -252,7 +248,6 @@ def framed(
     centre = np.round((low + high) / 2.0 * scale_m, _ROUNDED_M) / scale_m
     return Vehicle(
         name=name,
-        body_type=body_type,
         latent_code=code,
         scale_m=scale_m,
         sdf_R_object=sdf_R_object,

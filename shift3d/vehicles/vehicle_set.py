@@ -98,7 +98,7 @@ def write_vehicle_set(
     Raises: InputError without vehicles, or when two have one name.
     """
     if len({vehicle.name for vehicle in vehicles}) != len(vehicles) or not vehicles:
-        raise InputError("no vehicles, or two of one name", where=str(out), remedy="one file for every vehicle")
+        raise InputError("no vehicles, or two of one name", where=str(out), remedy="Give one file for every vehicle")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     if isinstance(decoder, Decoder):

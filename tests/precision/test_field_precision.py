@@ -124,7 +124,7 @@ def test_every_preset_asks_for_what_it_can_reach(name: str) -> None:
 
 def test_a_tolerance_below_is_refused_with_a_remedy() -> None:
     standard = preset("standard")
-    with pytest.raises(InputError, match=r"1e-08 m cannot be reached in float32.*tolerance_m of .* or dtype=float64"):
+    with pytest.raises(InputError, match=r"1e-08 m cannot be reached in float32.*tolerance_m=.* or dtype=float64"):
         standard.with_(tolerance_m=1e-8)
     with pytest.raises(InputError, match="float64"):
         preset("reference").with_(tolerance_m=1e-16)

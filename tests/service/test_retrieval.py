@@ -164,4 +164,4 @@ def test_what_cannot_be_retrieved_is_said(
     assert "of another decoder" in capsys.readouterr().err
     assert not (tmp_path / "wide").exists(), "known before any vehicle is fitted"
     assert main(["patterns", str(out), "attack.steps=3"]) == 2
-    assert "Only the runner can be set" in capsys.readouterr().err
+    assert "settings of the runner alone" in capsys.readouterr().err

@@ -107,4 +107,4 @@ def test_what_cannot_be_verified_is_said(out: Path, tmp_path: Path, capsys: pyte
     assert f"{segment.name}: cannot be read as Parquet" in done.stderr.splitlines()[-1]
     assert not (damaged / "verification").exists(), "found before hours of work"
     assert main(["verify", str(out), "attack.steps=3"]) == 2
-    assert "Only the runner can be set" in capsys.readouterr().err
+    assert "settings of the runner alone" in capsys.readouterr().err

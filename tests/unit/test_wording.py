@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import shift3d
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode, exit_codes
 from shift3d.store.log import TakenOverError
 from shift3d.sweep.execution.abort import AbortedError
 from shift3d.wording import counted
+
+PACKAGE = Path(shift3d.__file__).parent
 
 
 def words(text: str) -> str:
@@ -27,6 +32,23 @@ def test_one_is_one() -> None:
 def test_a_sentence_has_one_end() -> None:
     assert str(InputError("which sweep?", "status", "Name it")) == "status: which sweep? Name it"
     assert str(InputError("there is none", "here", "Make it")) == "here: there is none. Make it"
+
+
+def test_a_remedy_says_what_to_do() -> None:
+    """As a sentence of its own, beginning with a verb: it stands behind the full stop of what is wrong."""
+    no_verb = r"[^A-Z]|(Known|Every|Its?|Only|The|There|This|Workers)\b"
+    wrong = [f"{file}: {text}" for file in PACKAGE.rglob("*.py") for text in remedies(file) if re.match(no_verb, text)]
+    assert not wrong, wrong
+
+
+def remedies(file: Path) -> Iterator[str]:
+    """How remedies begin that are written out where an InputError is made."""
+    for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "InputError":
+            for remedy in [*call.args[2:], *(word.value for word in call.keywords if word.arg == "remedy")]:
+                first = remedy.values[0] if isinstance(remedy, ast.JoinedStr) else remedy
+                if isinstance(first, ast.Constant):
+                    yield first.value
 
 
 @pytest.mark.parametrize("workers", [1, 2])

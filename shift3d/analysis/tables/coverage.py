@@ -34,6 +34,7 @@ def sweep_report(sweep: Sweep) -> str:
         *choice_tables(sweep.choices),
         "\n".join(reasons(sweep.choices)),
         "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
+        searched_elsewhere(sweep.scores, sweep.timings),
         stage_times(sweep.timings, sweep.scores) if len(sweep.timings) else "no timings",
         "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
         f"{preset_table()}\n{legend(preset_meanings())}",
@@ -123,6 +124,20 @@ def coverage_lines(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int, s
     if len(left_out) > shown:
         lines.append(f"  and {counted(len(left_out) - shown, 'more machine')}")
     return lines
+
+
+def searched_elsewhere(scores: pd.DataFrame, timings: pd.DataFrame) -> str:
+    """That universal shapes were searched in fewer scenes than were asked for; empty where they were not."""
+    found = timings[timings["stage"] == "search_scenes"].set_index("task_id")["calls"]
+    search = scores.drop_duplicates("task_id").set_index("task_id")["search"].loc[found.index]
+    requested = search.str.extract(r"_universal(\d+)", expand=False).astype(int) - 1
+    left_out = requested - found
+    if not left_out.any():
+        return ""
+    return (
+        f"{(left_out > 0).sum()} of {counted(len(found), 'universal shape')} searched in fewer scenes than asked for: "
+        f"{left_out.sum()} of {counted(requested.sum(), 'other scene')} had no room for the vehicle"
+    )
 
 
 def rows_by_status(scores: pd.DataFrame) -> Table:

@@ -194,7 +194,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
         assets = AssetsSpec(
             scenes=chosen.model_dump(mode="json"),
             vehicles=config.vehicle.model_dump(mode="json", exclude={"name"}),
-            detectors={config.detector.name: config.detector.weights},
+            detectors={config.detector.name: config.detector.own_weights},
             modules=config.detector.modules_by_name(),
             layouts=detector_layouts(config.detector),
         )

@@ -96,7 +96,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
             raise InputError("--task and --retry-quarantined run something", remedy="Leave plan out")
         return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks, arguments.places)
     if arguments.tasks or arguments.places:
-        raise InputError("--tasks and --places are of a plan", remedy="shift3d sweep plan NAME --tasks")
+        raise InputError("--tasks and --places are of a plan", remedy="Ask for one: shift3d sweep plan NAME --tasks")
     request = read_words(words)
     if request.job and request.job.address and not arguments.task:
         return _submit(request, request.job.address, arguments.retry_quarantined)
@@ -145,7 +145,7 @@ def _status(words: list[str]) -> int:
     from shift3d.sweep.status import read_status, status_lines
 
     if len(words) != 1:
-        raise InputError("which sweep?", where="sweep status", remedy="shift3d sweep status outputs/NAME-HASH")
+        raise InputError("which sweep?", where="sweep status", remedy="Name it: shift3d sweep status outputs/NAME-HASH")
     print(status_lines(read_status(words[0].removeprefix("out="))))
     return 0
 

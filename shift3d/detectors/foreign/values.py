@@ -43,7 +43,7 @@ class Section:
     file: str
     path: str = ""
 
-    def refuse(self, what: str, remedy: str = "Only what docs/guides/detectors.md lists can be loaded") -> NoReturn:
+    def refuse(self, what: str, remedy: str = "Give a model that docs/guides/detectors.md lists") -> NoReturn:
         """Raise InputError: this section describes a model that is not covered."""
         raise InputError(f"{self.path}: {what}" if self.path else what, self.file, remedy)
 

@@ -37,7 +37,7 @@ def load_network(path: Path, name: str = "pointpillars") -> DetectorNet:
         `load_weights`.
     """
     if not path.is_file():
-        raise InputError("the weight file does not exist", where=str(path), remedy=f'make train ARGS="model={name}"')
+        raise InputError("the weight file does not exist", str(path), f'Train it: make train ARGS="model={name}"')
     return load_weights(NETWORKS[name](), path)
 
 

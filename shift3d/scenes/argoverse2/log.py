@@ -190,9 +190,10 @@ def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offs
     placed = poses(table, file)
     sizes = np.stack([column(table, f"{edge}_m", np.float64, file) for edge in ("length", "width", "height")], axis=1)
     boxes = np.concatenate((placed[:, :3, 3] - offset, sizes, heading_of(placed)[:, None]), axis=1)
-    validate_boxes(boxes, f"{file}, sweep {timestamp}")
+    where = f"{file}, sweep {timestamp}"
+    validate_boxes(boxes, where)
     names = tuple(str(name) for name in table["category"].to_pylist())
     for name in names:
         if name not in CLASSES:
-            raise InputError(f"unknown category {name!r}", f"{file}, sweep {timestamp}", f"Known: {', '.join(CLASSES)}")
+            raise InputError(f"unknown category {name!r}", where, f"Write one of {', '.join(CLASSES)}")
     return Labels(boxes, tuple(CLASSES[name] for name in names), count_in_boxes(points, boxes), names)

@@ -118,7 +118,7 @@ class Argoverse2Scenes(RecordedScenes):
     def _split(self, name: str) -> tuple[Location, int]:
         log, _, timestamp = name.rpartition("-")
         if log not in self._logs or not timestamp.isdecimal():
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Logs: {first_few(self._logs)}")
+            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose a log from: {first_few(self._logs)}")
         return self._logs[log], int(timestamp)
 
 

@@ -190,10 +190,10 @@ def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel
             raise InputError(f"{counted(len(columns), 'column')}, 15 expected", where, "Repair or remove that line.")
         if columns[0] not in CLASSES:
             what = f"unknown class {columns[0][:40]!r}"
-            raise InputError(what, where, f"Known are {', '.join(CLASSES)} and DontCare.")
+            raise InputError(what, where, f"Write one of {', '.join(CLASSES)} and DontCare.")
         values = _numbers(columns[1:], where)
         if not SMALLEST_M <= min(values[7:10]) <= max(values[7:10]) <= FARTHEST_M:
-            raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Sizes must be positive, in metres.")
+            raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Write positive sizes, in metres.")
         if not max(abs(value) for value in values[10:13]) <= FARTHEST_M:
             raise InputError(f"box at {tuple(values[10:13])}", where, "Give its place in metres.")
         box = lidar_box(values[7:10], values[10:13], values[13], calibration)

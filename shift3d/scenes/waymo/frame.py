@@ -130,7 +130,7 @@ def _by_laser(component: Component, columns: Sequence[str], timestamp: int | Non
     for key, row in rows.items():
         number = LASERS.get(key) if isinstance(key, str) else key
         if not isinstance(number, int) or number not in LASERS.values():
-            raise InputError(f"unknown laser {key!r}", str(component.file), f"Known: {', '.join(LASERS)}, 1 to 5")
+            raise InputError(f"unknown laser {key!r}", str(component.file), f"Write one of {', '.join(LASERS)}, 1 to 5")
         found[number] = row
     return found
 
@@ -182,7 +182,7 @@ def read_labels(
         values = [row[field].as_py() for field in _FIELDS]
         kind = row[_TYPE].as_py()
         if kind not in CLASSES:
-            raise InputError(f"unknown type {kind!r}", where, f"Known: {', '.join(map(str, CLASSES))}")
+            raise InputError(f"unknown type {kind!r}", where, f"Write one of {', '.join(map(str, CLASSES))}")
         if any(value is None for value in values):
             raise InputError("a box without a number", where, "Copy the component again")
         boxes[index] = values

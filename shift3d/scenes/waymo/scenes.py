@@ -71,7 +71,7 @@ class WaymoScenes(RecordedScenes):
         unknown = [name for name in lasers if name not in LASERS]
         if unknown or not lasers:
             what = f"unknown laser {(unknown or ['none at all'])[0]!r}"
-            raise InputError(what, "Waymo", f"Known: {', '.join(LASERS)}")
+            raise InputError(what, "Waymo", f"Choose from {', '.join(LASERS)}")
         if len(set(self.lasers)) < len(self.lasers):
             what = f"a laser twice in scenes.lasers=[{','.join(self.lasers)}]"
             raise InputError(what, "Waymo", "Name each laser once")
@@ -140,7 +140,8 @@ class WaymoScenes(RecordedScenes):
         if not timestamp.isdecimal() or segment not in self._segments:
             if name in self._segments:  # listed although it is bad: say now what is wrong with it
                 component_file(self.root, "lidar", name).timestamps()
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Segments: {first_few(self._segments)}")
+            remedy = f"Choose a segment from: {first_few(self._segments)}"
+            raise InputError(f"unknown scene {name!r}", str(self.root), remedy)
         return segment, int(timestamp)
 
     @functools.cached_property

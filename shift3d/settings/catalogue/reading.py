@@ -116,7 +116,7 @@ def _check_render(settings: dict[str, Any]) -> None:
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"{name} is {value}", where=where, remedy="Give a finite number")
     if settings["dtype"] not in ("float32", "float64"):
-        raise InputError(f"dtype is {settings['dtype']!r}", where=where, remedy="float32 or float64")
+        raise InputError(f"dtype is {settings['dtype']!r}", where=where, remedy="Give float32 or float64")
     try:
         RenderSettings(**settings | {"dtype": getattr(torch, settings["dtype"])})
     except InputError as error:

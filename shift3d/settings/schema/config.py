@@ -94,8 +94,12 @@ class DetectorConfig(Record):
     def weights_by_name(self) -> dict[str, str | None]:
         """Files that were given, by the detector's name: of weights, None: those that ship; an ONNX file."""
         others: dict[str, str | None] = {str(name): path for name, path in self.other_weights.items()}
-        own = self.weights or others.get(self.name)
-        return {**others, self.name: own, **({ONNX: self.file} if self.file else {})}
+        return {**others, self.name: self.own_weights, **({ONNX: self.file} if self.file else {})}
+
+    @property
+    def own_weights(self) -> str | None:
+        """The file of the attacked detector's weights; where several are attacked, `other_weights` names each one's."""
+        return self.weights or self.other_weights.get(self.name)
 
     def modules_by_name(self) -> dict[str, str]:
         """Python files of detectors, by name: of the user's own, where it is asked."""

@@ -24,7 +24,8 @@ def read_spec(folder: LocationLike) -> dict[str, Any]:
 
     Raises: InputError: there is none, it cannot be read or was cut short, or it is of another schema version.
     """
-    path = as_location(folder) / "spec.yaml"
+    location = as_location(folder)
+    path = location / "spec.yaml"
     try:
         values = yaml.safe_load(path.read_text())
         older_versions(values["schema_version"], str(path))
@@ -32,7 +33,8 @@ def read_spec(folder: LocationLike) -> dict[str, Any]:
             raise ValueError(f"{wrong[0]} is a {type(values[wrong[0]]).__name__}")
         return {**values, "schema_version": SCHEMA_VERSION}
     except FileNotFoundError as error:
-        what = "is not the output folder of a sweep (it has no spec.yaml)"
+        why = "it has no spec.yaml" if location.names() else "it does not exist, or is empty"
+        what = f"is not the output folder of a sweep ({why})"
         raise InputError(what, where=str(folder), remedy="Check the path") from error
     except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
         raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error

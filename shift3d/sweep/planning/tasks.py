@@ -115,7 +115,7 @@ class Tasks(Sequence[PlannedTask]):
         found = self.starting_with(prefix)
         if len(found) != 1:
             what = f"{counted(len(found), 'task')} with an id that begins with {prefix!r}"
-            raise InputError(what, where, "The ids are in final/scores.parquet, or: shift3d plan NAME --tasks")
+            raise InputError(what, where, "Take one of final/scores.parquet, or list them: shift3d plan NAME --tasks")
         return found[0]
 
     def without(self, ids: Collection[str]) -> np.ndarray:

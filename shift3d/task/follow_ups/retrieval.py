@@ -89,7 +89,7 @@ def _scored(
     own, code = solution.vehicle or assets.vehicle(spec), np.array(kin["latent_code"], np.float32)
     # Not of its coordinates: they are of the pool's vehicles, and the sweep's may be others of the same decoder.
     name = f"{kin['scene']}/{kin['label']}"
-    vehicle = vehicle_of(name, kin["kind"], assets.decoder, code, kin["scale_m"], own.sdf_R_object)
+    vehicle = vehicle_of(name, assets.decoder, code, kin["scale_m"], own.sdf_R_object)
     theta = solution.theta.clone()
     theta[2] += (vehicle.size_m[2] - own.size_m[2]) / 2
     problem = build_problem(spec, assets, theta, vehicle)

@@ -96,7 +96,7 @@ def load_verify_assets(spec: AssetsSpec) -> VerifyAssets:
     assert spec.results is not None
     results = as_location(spec.results)
     if not (table := results / "solutions.parquet").is_file():
-        remedy = "Workers read the sweep's tables: put its folder where every machine finds it, or into a bucket"
+        remedy = "Put the sweep's folder where every machine finds it, or into a bucket: workers read its tables"
         raise InputError("is not there on this machine", where=str(table), remedy=remedy)
     return VerifyAssets(load_assets(spec), results)
 

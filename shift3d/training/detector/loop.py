@@ -87,7 +87,7 @@ class _Run:
             # Checkpoints from before `data` was written are of the shipped streets.
             if state.get(key, SHIPPED_DATA) != ours:
                 what = f"the checkpoint was trained by another {what}"
-                raise InputError(what, str(self.file), remedy="choose another folder")
+                raise InputError(what, str(self.file), remedy="Choose another folder with out=")
         self.net.load_state_dict(state["net"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.done = int(state["steps_done"])

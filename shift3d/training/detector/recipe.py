@@ -172,7 +172,7 @@ class Recipe:
                      "jitter_m", "weight_decay", "box_weight", "direction_weight"):  # fmt: skip
             _check(0.0 <= getattr(self, name) < float("inf"), name, getattr(self, name), where, "Give 0 or more")
         unused = self.inserted_scenes > 0 and self.inserted_share > 0.0 and self.mesh_only_steps > self.steps
-        remedy = "No step draws an inserted scene: give fewer mesh_only_steps, or steps=N beside the recipe"
+        remedy = "Give fewer mesh_only_steps, or steps=N beside the recipe: no step draws an inserted scene"
         _check(not unused, "mesh_only_steps", self.mesh_only_steps, where, remedy)
         for name in ("inserted_share", "empty_share", "warm_up_share"):
             _check(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), where, "Give a share from 0 to 1")

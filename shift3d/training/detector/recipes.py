@@ -102,7 +102,7 @@ def changed(recipe: Recipe, words: Mapping[str, str]) -> Recipe:
     inner = _settable(recipe.augmentation)
     for name in words:
         if name not in own | inner:
-            raise InputError(f"recipe.{name} is unknown", "train", f"Known: {', '.join(sorted(own | inner))}")
+            raise InputError(f"recipe.{name} is unknown", "train", f"Choose from {', '.join(sorted(own | inner))}")
     ours = {name: _parsed(name, text, own[name]) for name, text in words.items() if name in own}
     theirs = {name: _parsed(name, text, inner[name]) for name, text in words.items() if name in inner}
     result = replace(recipe, **ours, augmentation=replace(recipe.augmentation, **theirs))

@@ -93,7 +93,7 @@ class DecoderRun(ABC):
     def restore(self, state: Mapping[str, Any], where: str) -> None:
         """Continue from a checkpoint of the same recipe. Raises InputError for another recipe."""
         if state["recipe"] != asdict(self.recipe):
-            raise InputError("checkpoint of another recipe", where=where, remedy="another out=, or delete it")
+            raise InputError("checkpoint of another recipe", where=where, remedy="Give another out=, or delete it")
         self.decoder.load_state_dict(state["decoder"])
         with torch.no_grad():
             self.table.copy_(state[self.table_name])

@@ -183,7 +183,7 @@ def export_mesh_training(checkpoint: Path, shapes: MeshShapes, frame: MeshFrame,
     if not vehicles:
         first = next(iter(refused.values()))
         what = f"after {state['step']} steps no vehicle has a surface, the first because {first}"
-        raise InputError(what, where=str(checkpoint), remedy="train longer: steps=, in another out=")
+        raise InputError(what, where=str(checkpoint), remedy="Train longer: give steps=, and another out=")
     provenance = {
         "model": "DeepSDF auto-decoder, trained on meshes",
         "recipe": state["recipe"],

@@ -104,7 +104,7 @@ def train_sdf(
     if samples is None:
         samples = shape_samples(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", compute.threads)
     if (len(samples.points), samples.source) != (recipe.shapes, recipe.source):
-        raise InputError("samples of other shapes than the recipe's", where=str(out), remedy="those of its source")
+        raise InputError("samples of other shapes than the recipe's", str(out), "Give samples of the recipe's source")
     file = out / "sdf.pt"
     run_to_end(SdfRun(recipe, samples, compute), file, checkpoint_every, report)
     return file

@@ -46,7 +46,7 @@ def sample_spec(body_type: str, rng: np.random.Generator) -> VehicleSpec:
     Source: our choice: the paper takes its vehicles from ShapeNet.
     """
     if body_type not in RANGES:
-        raise InputError(f"unknown body type {body_type!r}", "body_type", f"one of {', '.join(BODY_TYPES)}")
+        raise InputError(f"unknown body type {body_type!r}", "body_type", f"Choose from {', '.join(BODY_TYPES)}")
     return draw_spec(body_type, RANGES[body_type], rng)
 
 

@@ -64,12 +64,12 @@ class VehicleSpec:
     def validate(self) -> None:
         """Raises InputError naming the field when the vehicle cannot be built."""
         if self.body_type not in BODY_TYPES + MORE_BODY_TYPES:
-            remedy = f"one of {', '.join(BODY_TYPES + MORE_BODY_TYPES)}"
+            remedy = f"Choose from {', '.join(BODY_TYPES + MORE_BODY_TYPES)}"
             raise InputError(f"unknown body type {self.body_type!r}", "VehicleSpec.body_type", remedy)
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not 0.0 <= value < 20.0:
-                raise InputError(f"{value} m", where=f"VehicleSpec.{field.name}", remedy="a length from 0 to 20 m")
+                raise InputError(f"{value} m", where=f"VehicleSpec.{field.name}", remedy="Give a length from 0 to 20 m")
         order = [0.0, self.cowl_s_m, self.roof_front_s_m, self.roof_rear_s_m, self.backlight_s_m, self.length_m]
         if any(a >= b for a, b in itertools.pairwise(order)):
             what = "the roof line must run nose, cowl, roof front, roof rear, rear window, tail"

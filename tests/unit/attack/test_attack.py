@@ -18,7 +18,7 @@ from shift3d.attack.problem import AttackProblem, measure
 from shift3d.attack.shape import attack_shape, on_ground
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, Site, place, refusals
-from shift3d.render import Beams, preset
+from shift3d.render import Beams, SdfGrid, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
 CODE = torch.zeros(6, dtype=torch.float64)
@@ -219,8 +219,7 @@ def test_placement_stays_clear_of_the_scenes_vehicles(beams: Beams, placement: P
 
 
 def test_an_sdf_grid_changes_no_result(problem: AttackProblem) -> None:
-    mapped = problem.with_space()
-    assert mapped.space is not None and mapped.with_space() is mapped
+    mapped = replace(problem, space=SdfGrid.of(field_of(CODE), FRAME, SETTINGS))
     plain = measure(problem, CODE, problem.theta0)
     assert float(measure(mapped, CODE, problem.theta0).adversarial) == pytest.approx(float(plain.adversarial), rel=1e-4)
     assert mapped.space_for(CODE + 0.1) is None

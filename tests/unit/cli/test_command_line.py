@@ -88,7 +88,7 @@ def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["sweep", "defualt"], "Did you mean 'default'?"),
         (["plan", "vehicle=sub"], "Did you mean 'suv'?"),
-        (["export", "nowhere", "task=ID", "method=random", "to=x"], "it has no spec.yaml"),
+        (["export", "nowhere", "task=ID", "method=random", "to=x"], "it does not exist, or is empty"),
         (["export", "nowhere", "task=ID", "method=random"], "to= is missing"),
         (["export", "nowhere", "tusk=ID"], "cannot read 'tusk=ID'. Did you mean task=?"),
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=a"], "is not a whole number"),

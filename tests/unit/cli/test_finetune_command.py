@@ -101,12 +101,19 @@ def test_what_the_training_would_refuse_is_refused_before_anything_is_attacked(
     assert message in line
 
 
-def test_weights_that_were_tuned_on_what_is_held_out_are_refused_before_anything_is_attacked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("setting", ["detector.weights", "+detector.other_weights.pointpillars"])
+def test_the_weights_that_are_attacked_are_those_that_are_tuned(
+    setting: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """One setting of weights by name serves sweeps of several detectors, and means the same to a sweep of one."""
     weights = Path(shutil.copy(WEIGHTS_FOLDER / "pointpillars.safetensors", tmp_path))
+    words = ["finetune", "--steps", *LOCAL, f"{setting}={weights}", f"out={tmp_path / 'out'}"]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(f"start_from={weights}" in line for line in lines if " train " in line)
+    assert f"weights={weights}" in next(line for line in lines if " evaluate " in line)
     write_provenance(weights, {"finetuned_on": {"scenes": {"street-test-hdl64-000000": "aa"}}})
-    assert main(["finetune", "--steps", *LOCAL, f"detector.weights={weights}", f"out={tmp_path / 'out'}"]) == 2
+    assert main(words) == 2, "what is held out was trained on"
     assert f"{weights}: was fine-tuned on street-test-hdl64-000000" in capsys.readouterr().err
 
 

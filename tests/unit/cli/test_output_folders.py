@@ -141,3 +141,14 @@ def test_a_sweep_s_name_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert resumed.name == "smoke" and resumed.out == as_location("./stability")
     line = refused(["plan", "./stability", "out=other"], capsys)
     assert "stability" in line and "Leave out= away" in line
+
+
+def test_a_word_with_a_slash_is_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A list of sweeps would not help whoever mistyped a folder; it does whoever gave a sweep's file."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "default.yaml").write_text("seed: 0")
+    for command in RUNS:
+        assert "outputs/nope: is not the output folder" in (line := refused([*command, "outputs/nope"], capsys))
+        assert "it does not exist" in line
+        assert "it has no spec.yaml" in refused([*command, "./mine"], capsys)
+        assert "Did you mean 'default'?" in refused([*command, "mine/default.yaml"], capsys)

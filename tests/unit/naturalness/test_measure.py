@@ -22,7 +22,7 @@ from shift3d.vehicles.vehicle import Vehicle
 
 LENGTHS = np.round(np.linspace(3.6, 5.6, 21), 2)
 SCALE_M = 3.0
-VEHICLE = Vehicle("legs", "suv", np.zeros(4, np.float32), SCALE_M, np.eye(3), np.zeros(3), (4.5, 1.8, 1.3))
+VEHICLE = Vehicle("legs", np.zeros(4, np.float32), SCALE_M, np.eye(3), np.zeros(3), (4.5, 1.8, 1.3))
 
 
 @pytest.fixture(scope="module")

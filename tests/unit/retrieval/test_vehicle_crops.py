@@ -103,7 +103,7 @@ def test_a_box_of_something_else_is_flagged() -> None:
 def test_a_vehicle_of_its_own_has_its_box_centre_as_origin() -> None:
     found = reconstructor().reconstruct(only(seen()))
     code = subspace().code(found.fit.u)
-    vehicle = vehicle_of("kin", "Car", VehicleSet().decoder(), code, found.fit.scale_m, np.eye(3))
+    vehicle = vehicle_of("kin", VehicleSet().decoder(), code, found.fit.scale_m, np.eye(3))
     mesh = reconstructor().mesh(found.fit)
     assert np.array(vehicle.size_m) == pytest.approx(mesh.extents, rel=0.02)
     assert vehicle.size_m[0] == pytest.approx(LENGTH_M, abs=0.12)

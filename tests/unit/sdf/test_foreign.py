@@ -155,7 +155,7 @@ def test_three_forms_of_codes_and_a_checkpoint_by_its_epoch(tmp_path: Path) -> N
     for form in (codes[:, None, :], [code[None] for code in codes]):
         torch.save({"epoch": 3, "latent_codes": form}, tmp_path / "LatentCodes" / "2000.pth")
         assert torch.equal(load_decoder_and_codes(tmp_path, "2000")[1], codes)
-    with pytest.raises(InputError, match=r"100\.pth: no such file. Checkpoints there: 2000, latest"):
+    with pytest.raises(InputError, match=r"100\.pth: no such file. Choose a checkpoint from 2000, latest"):
         load_decoder_and_codes(tmp_path, "100")
 
 

@@ -151,9 +151,9 @@ def test_configuration_names_no_code() -> None:
         (["=3"], "no setting is named"),
         (
             ["vehicle=[coupe,suv]"],
-            "vehicle takes one option, and the last would win. Several are an axis: vehicle=coupe,suv",
+            "vehicle takes one option, and the last would win. Write several as an axis: vehicle=coupe,suv",
         ),
-        (["accuracy=[draft,reference]"], "Several are an axis: accuracy=draft,reference"),
+        (["accuracy=[draft,reference]"], "Write several as an axis: accuracy=draft,reference"),
         (["mode=shape_pose", "attack.search_scenes=2"], "attack.search_scenes and transfer_scenes are of mode=shape"),
         (["effects=[fogg]"], "unknown effects 'fogg'. Did you mean 'fog'? One of: auto, divergence, fog"),
         (["effects=[fog,rian]"], "unknown effects 'rian'. Did you mean 'rain'?"),

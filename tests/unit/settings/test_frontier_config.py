@@ -156,6 +156,12 @@ def test_kitti_is_a_second_set_or_the_only_one(tmp_path: Any) -> None:
     assert half_width[1] < half_width[0]  # KITTI is labelled in the camera's view alone
 
 
+def test_weights_that_are_given_are_those_that_are_measured() -> None:
+    for setting in ("detector.weights", "+detector.other_weights.pointpillars"):
+        (group,) = groups_of(frontier(f"{setting}=mine"))
+        assert group.assets.detectors == {"pointpillars": "mine"}
+
+
 def test_whole_numbers_are_given_over_a_setting_that_counts() -> None:
     written = expand_settings(changed(name="every {}", over={"warm_refresh": [20, 40]}).frontier)
     assert [pair[0].render["warm_refresh"] for pair in written if pair[0].name.startswith("every")] == [20, 40]
@@ -196,6 +202,7 @@ def test_what_cannot_be_measured_is_said_in_one_line(changes: dict[str, Any], me
         (["frontier", "frontier.repeats=0"], "frontier.repeats is 0"),
         (["frontier", "frontier.repeat=3"], "Did you mean 'frontier.repeats'"),
         (["frontier", "kitti=/nowhere/at/all"], "/nowhere/at/all"),
+        (["frontier", "detector.other_weights.sst=mine"], "measures pointpillars alone. Leave it out"),
     ],
 )
 def test_the_command_says_what_it_cannot_use(

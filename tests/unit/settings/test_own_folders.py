@@ -9,6 +9,7 @@ import pytest
 from shift3d.cli.completion import overrides, plan_words
 from shift3d.cli.job_spec import take_job
 from shift3d.cli.main import main
+from shift3d.cli.words import runner_of
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
@@ -54,6 +55,23 @@ def test_a_file_of_ones_own_takes_the_place_of_its_name(team: Path) -> None:
     assert (before, steps("smoke")) == ({5}, {2})
     write(team / "sweeps" / "smoke.yaml", "defaults: [/config, _self_]\nattack: {steps: 4}\n")
     assert steps("smoke") == {4}
+
+
+@pytest.mark.parametrize(
+    "text", ["scenes: [", "defaults: [/config, override /scenes: kitti, _self_]\nrunner: {kind: 3}"]
+)
+def test_a_sweep_of_ones_own_changes_no_command_that_runs_another(
+    team: Path, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """scenes and verify take their settings from conf/ by way of a sweep that nobody named."""
+    assert main(["scenes", "list"]) == 0
+    shipped_scenes, runner = capsys.readouterr().out, runner_of(["runner.workers=2"], "verify")
+    for name in files("sweeps"):
+        write(team / "sweeps" / f"{name}.yaml", text)
+    assert main(["scenes", "list"]) == 0 and capsys.readouterr().out == shipped_scenes
+    assert runner_of(["runner.workers=2"], "verify") == runner
+    write(team / "conf" / "runner" / "ray.yaml", "defaults: [local, _self_]\n")
+    assert runner_of([], "verify") == runner_of(["runner=local"], "verify"), "an option of one's own counts"
 
 
 def test_a_sweep_may_be_made_of_one_that_ships(team: Path) -> None:

@@ -162,7 +162,7 @@ def test_a_machine_where_no_worker_starts_is_left_out(
     found, runner = outcomes(ray, monkeypatch)
     assert {machine for machine, _ in ray.ran} == {"b"} and not any(outcome.fatal for outcome in found)
     (line,) = runner.left_out
-    why = "no worker starts there: ImportError: no module named shift3d. Every machine needs this shift3d"
+    why = "no worker starts there: ImportError: no module named shift3d. Install this shift3d on every machine"
     assert line == f"host-a is left out: {why}"
 
 

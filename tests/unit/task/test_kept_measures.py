@@ -171,3 +171,14 @@ def test_vehicles_beyond_their_budget_are_named_before_anything_runs() -> None:
     templates = [make_spec(vehicle=name, attack=tight) for name in ("suv", "coupe")]
     with pytest.raises(InputError, match=r"suv \(percentile [\d.]+\) beyond 1e-06; coupe \(.*larger budget"):
         prepare_naturalness(SPEC, [*templates, make_spec(attack=AttackSpec(naturalness=100.0))])
+
+
+def test_a_budget_that_no_kind_keeps_is_refused_before_anything_runs() -> None:
+    """Each of its tasks would fail, and other values of an axis do not help. A task that runs alone says the same."""
+    tight = make_spec(attack=replace(FAMILY, naturalness=1e-6), reference_hash=source_hash(reference_source(WIDE)))
+    prepare_naturalness(SPEC, [make_spec(attack=FAMILY)])
+    error = r"space=family, attack\.naturalness=1e-06: no vehicle.*nearest is \w+ \(percentile [\d.]+\)\. Give a larger"
+    with pytest.raises(InputError, match=error):
+        prepare_naturalness(SPEC, [make_spec(attack=FAMILY), tight])
+    with pytest.raises(InputError, match=error):
+        run_task(tight, load_assets(SPEC))

@@ -87,7 +87,7 @@ def test_a_scene_that_was_searched_in_judges_nothing(assets: Assets) -> None:
     short = AttackSpec(steps=1, noise_replicates=0, random_replicates=0, search_scenes=1)
     spec = make_spec(transfer_scenes=TRANSFER, attack=short)
     found = run_task(spec, assets)
-    assert found.transfers == [] and spec.search == "descent_universal2"
+    assert found.transfers == [] and spec.search == "descent_universal2" and searched_in(found) == [1]
     there = spec.moved_to(TRANSFER[0])
     placement = place_vehicle(there, assets)
     assert isinstance(placement, Placement)
@@ -96,3 +96,15 @@ def test_a_scene_that_was_searched_in_judges_nothing(assets: Assets) -> None:
     first = found.trajectories[0]
     # Scored again from where it stands; the search rendered it in bfloat16's company, to a few thousandths.
     assert first["loss"] == pytest.approx((first["adversarial_loss"] + alone) / 2, rel=0.02)
+
+
+def test_a_scene_without_room_is_counted_where_a_universal_shape_is_searched(assets: Assets) -> None:
+    short = AttackSpec(steps=1, noise_replicates=0, random_replicates=0, search_scenes=1)
+    # Three draws find a place in its own scene, and none in the other.
+    few = make_spec(transfer_scenes=TRANSFER, attack=short, replicate=1, placement=PlacementSpec(attempts=3))
+    found = run_task(few, assets)
+    assert by_method(found, "adversarial")[0]["score"] is not None and searched_in(found) == [0]
+
+
+def searched_in(found: TaskResult) -> list[int]:
+    return [row["calls"] for row in found.timings if row["stage"] == "search_scenes"]

@@ -67,7 +67,7 @@ def test_words_change_fields_of_the_recipe_and_of_its_augmentation() -> None:
         ("jitter_m", "inf", "0 or more"),
         ("shift_m", "inf", "0 or more"),
         ("crop_cells", "512", "468"),
-        ("mesh_only_steps", "20001", "No step draws an inserted scene"),
+        ("mesh_only_steps", "20001", "no step draws an inserted scene"),
         ("crop_cells", "90", "multiple of 4"),
         ("settle_steps", "-1", "0 or more"),
     ],

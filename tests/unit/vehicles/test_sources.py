@@ -67,7 +67,7 @@ def test_scale_axes_and_centre_by_hand(folder: Path) -> None:
     nose, left, roof = np.diag([2.25, 0.875, 0.625])
     expected = CENTRE + np.array([[0, 0, -0.9], [-0.35, 0, 0], [0, 0.25, 0]])
     assert vehicle.to_sdf(np.stack([nose, left, roof])) == pytest.approx(expected, abs=0.004)
-    assert (vehicle.name, vehicle.body_type) == ("van_1", "van")
+    assert vehicle.name == "van_1"
     assert np.linalg.det(vehicle.sdf_R_object) == pytest.approx(1.0)
 
 

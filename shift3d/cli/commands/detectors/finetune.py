@@ -169,7 +169,7 @@ def _checked(request: FinetuneRequest) -> tuple[Config, str]:
     catalogue, plans, config = shift3d_kind().catalogue, [], None
     for name in _SWEEPS:
         composed = compose_sweep(name, request.overrides_of(name))
-        if len({(c.detector.name, c.detector.weights) for c in expand(composed)}) > 1:
+        if len({(c.detector.name, c.detector.own_weights) for c in expand(composed)}) > 1:
             raise InputError("several detectors are attacked", where=f"sweep {name}", remedy="Give detector= one value")
         if (detector := composed.base["detector"]["name"]) not in DETECTOR_NAMES:
             remedy = f"Give one of {', '.join(DETECTOR_NAMES)}"
@@ -186,8 +186,8 @@ def _checked(request: FinetuneRequest) -> tuple[Config, str]:
         if both := shared_scenes(tuned, scenes):
             what = f"fine-tuning and {name} share {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"
             raise InputError(what, where="finetune", remedy="Hold out others: held_out.scenes.KEY=VALUE")
-        if config.detector.weights:
-            refuse_tuned_scenes(Path(config.detector.weights).expanduser(), scenes)
+        if own_weights := config.detector.own_weights:
+            refuse_tuned_scenes(Path(own_weights).expanduser(), scenes)
     refuse_other_splits((task.spec for task in plans[0].tasks), f"sweep {_SWEEPS[0]}")
     return config, plans[0].spec_hash
 
@@ -210,7 +210,7 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
     # Streets are evaluated by processes of this machine, however many workers a cluster has.
     workers = min(runner.workers_on(cpus), cpus) if isinstance(runner, RayRunnerConfig) else 1
     mlflow = config.tracking.uri if isinstance(config.tracking, MlflowConfig) else "none"
-    detector, own_weights = config.detector.name, config.detector.weights
+    detector, own_weights = config.detector.name, config.detector.own_weights
     attacked = folder / "attacked"
 
     def swept(name: str, out: Path, *more: str) -> _Step:

@@ -70,7 +70,7 @@ def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[
     if method not in methods:
         raise choice_error("method", method, dict.fromkeys(methods), where)
     if (method, replicate) not in found:
-        raise InputError(f"{method} has no replicate {replicate}", where, f"There are {methods.count(method)}, from 0")
+        raise InputError(f"{method} has no replicate {replicate}", where, f"Give 0 to {methods.count(method) - 1}")
     return dict(found[method, replicate])
 
 

@@ -59,14 +59,14 @@ def submit_sweep(
         return 0
     if details.driver_exit_code is None:
         what = " ".join(str(details.message).split())[:300]
-        raise InputError(f"{job} did not run ({details.status}): {what}", address, "The same command again")
+        raise InputError(f"{job} did not run ({details.status}): {what}", address, "Give the same command again")
     return int(details.driver_exit_code)
 
 
 def _unseen(job: str, address: str, why: object) -> InputError:
     """The error for a job that goes on where nobody here can follow it."""
     follow = f"ray job logs --follow {job} --address {address}"
-    remedy = f"The sweep goes on. Follow it: {follow}, or shift3d sweep status OUT"
+    remedy = f"Follow the sweep, which goes on: {follow}, or shift3d sweep status OUT"
     return InputError(f"{job} cannot be followed any more ({why})", where=address, remedy=remedy)
 
 

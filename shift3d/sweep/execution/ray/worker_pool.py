@@ -169,7 +169,7 @@ class WorkerPool:
         return None
 
     def _failed_start(self, worker: PooledWorker, why: str) -> InputError | None:
-        remedy = "Every machine needs this shift3d"
+        remedy = "Install this shift3d on every machine"
         node_id, host = node_of(self._ray, worker.actor)
         held = any(other.node_id == node_id for other in self._workers)
         if node_id and not held and self.left_out.failed_start(node_id):
