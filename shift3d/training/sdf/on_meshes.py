@@ -20,6 +20,7 @@ from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Decoder
 from shift3d.store.arrays import write_arrays
+from shift3d.store.atomic import write_atomic
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute
 from shift3d.training.processes import each
@@ -31,7 +32,7 @@ from shift3d.training.sdf_shapes import ShapeSamples, in_random_order
 from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.picture import write_side_by_side
+from shift3d.vehicles.picture import side_by_side
 from shift3d.vehicles.vehicle_set import FACTS_FILE, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000
@@ -47,7 +48,7 @@ _VERSION = 2
 class MeshShapes:
     """Samples of S meshes, and by the same index what is known of each.
 
-    facts: per shape, as JSON values: name, file, sha256, repair, size_m, seconds. refused: what could not be used,
+    facts: per shape, as JSON values: name, file, sha256, repair, size_m. refused: what could not be used,
     and why, by file.
     """
 
@@ -210,8 +211,8 @@ def _measured(frame: MeshFrame, pictures: Path, decoder: Decoder, row: _Row) -> 
     facts, code, scale_m = row
     try:
         vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
-        done = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
+        done, decoded = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
     except InputError as error:
         return str(error)
-    write_side_by_side(pictures / f"{vehicle.name}.png", vehicle.mesh, done.decoded)
+    write_atomic(pictures / f"{vehicle.name}.png", side_by_side(vehicle.mesh, decoded))
     return done

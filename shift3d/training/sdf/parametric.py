@@ -159,7 +159,7 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
         mesh = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M))
         mesh.vertices *= frame.scale_m
         name = kind.replace("+", "_with_")
-        vehicles.append(fitted(name, spec.body_type, decoder, codes[index].copy(), frame.scale_m, mesh))
+        vehicles.append(fitted(name, spec.body_type, decoder, codes[index].copy(), frame.scale_m, mesh)[0])
         boxes[name] = _box(shapes, basis, index, members)
     known = KnownCodes(
         tuple(spec.kind for spec in shapes.specs),

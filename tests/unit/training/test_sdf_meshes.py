@@ -131,7 +131,7 @@ def test_a_vehicle_set_of_this_training_is_not_made_again(shapes: MeshShapes, tm
     recipe = dataclasses.replace(mesh_recipe(shapes, steps=1), batch_a_shape=8, compute="float32")
     checkpoint = train_sdf(tmp_path, recipe, samples=shapes.samples)
     assert not is_exported(checkpoint, tmp_path)
-    egg = FittedVehicle("egg", "vehicle", np.zeros(256, np.float32), 2.0, trimesh.creation.icosphere(), 0.01)
+    egg = FittedVehicle("egg", "vehicle", (0.0,) * 256, 2.0, ((-1.0,) * 3, (1.0,) * 3), 1, 0.01)
     made = {"recipe": dataclasses.asdict(recipe), "step": 1, "vehicles": [{"name": "egg", "chamfer_cm": 1.0}]}
     for facts, found in ((made, True), ({**made, "step": 2}, False), ({**made, "recipe": {}}, False), ({}, False)):
         write_vehicle_set(tmp_path, Decoder(), [egg], facts)
