@@ -13,8 +13,18 @@ from shift3d.errors import InputError
 from shift3d.processor import rounding
 from shift3d.store.atomic import write_atomic
 
-# Libraries that the last bits of scenes and meshes may depend on.
-_LIBRARIES = ("numpy", "pyarrow", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")
+# Libraries that the last bits of scenes, meshes and scores may depend on.
+_LIBRARIES = (
+    "torch",
+    "numpy",
+    "pyarrow",
+    "scipy",
+    "embreex",
+    "trimesh",
+    "scikit-image",
+    "libigl",
+    "fast-simplification",
+)
 
 
 def user_cache() -> Path:
@@ -70,6 +80,6 @@ def source_digest(*parts: str) -> str:
 
 @functools.cache
 def program_digest(*parts: str) -> str:
-    """BLAKE2b of `source_digest` and of the versions of the libraries that scenes and meshes are made with."""
+    """BLAKE2b of `source_digest` and of the versions of the libraries that what is kept is made with."""
     libraries = [f"{library} {importlib.metadata.version(library)}" for library in _LIBRARIES]
     return hashlib.blake2b("\n".join([*libraries, source_digest(*parts)]).encode(), digest_size=16).hexdigest()
