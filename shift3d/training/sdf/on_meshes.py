@@ -22,7 +22,7 @@ from shift3d.sdf.decoder import Decoder
 from shift3d.store.arrays import write_arrays
 from shift3d.store.atomic import write_atomic
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import Compute
+from shift3d.training.compute import Compute, subnormals_as_before
 from shift3d.training.processes import each
 from shift3d.training.progress import Report
 from shift3d.training.provenance import versions
@@ -132,6 +132,7 @@ def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
     )
 
 
+@subnormals_as_before()
 def train_on_meshes(
     path: Path | str, frame: MeshFrame, out: Path, compute: Compute, steps: int = STEPS, report: Report | None = None
 ) -> list[float]:

@@ -23,7 +23,7 @@ from shift3d.sdf.decoder import Architecture, Decoder, load_decoder, parameters_
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import derive_seed, generator
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import Compute
+from shift3d.training.compute import Compute, subnormals_as_before
 from shift3d.training.progress import Report
 from shift3d.training.provenance import versions
 from shift3d.training.sdf.export import CODE_NORM
@@ -120,6 +120,7 @@ def train_parametric(
     return file
 
 
+@subnormals_as_before()
 def train_wide(
     out: Path, compute: Compute, count: int | None = None, steps: int | None = None, report: Report | None = None
 ) -> list[float]:
