@@ -21,6 +21,7 @@ from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Decoder
 from shift3d.store.arrays import write_arrays
 from shift3d.store.atomic import write_atomic
+from shift3d.store.user_cache import program_digest
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, subnormals_as_before
 from shift3d.training.processes import each
@@ -41,7 +42,8 @@ NETWORK_RATE, CODE_RATE = 8e-4, 2e-3
 SAMPLES_A_SHAPE = 100_000
 SEED = 7
 _VERSION = 2
-"""Raised when the file of samples comes to hold something else."""
+"""Of what identifies meshes in a recipe."""
+_CODE = ("sdf/samples.py", "seeding.py", "training/sdf_shapes.py", "vehicles")
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,8 @@ class MeshShapes:
 def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cache: Path, processes: int) -> MeshShapes:
     """Sample the meshes at a path, or read them back from `cache` (a folder) when it holds just these.
 
-    A mesh that cannot be used is left out and said so, once; the samples of a shape are in random order, so that
-    consecutive slices are fair batches.
+    What another program sampled is sampled again. A mesh that cannot be used is left out and said so, once; the samples
+    of a shape are in random order, so that consecutive slices are fair batches.
     Raises: InputError when there are no meshes at the path, or none that can be used.
     """
     files = find_meshes(path)
@@ -70,7 +72,7 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
         [_VERSION, asdict(frame), samples, seed, [[f.name, h] for f, h in zip(files, hashes)]], sort_keys=True
     )
     source = "meshes-" + hashlib.blake2b(request.encode(), digest_size=8).hexdigest()
-    kept = cache / f"{source}.npz"
+    kept = cache / f"{source}-{program_digest(*_CODE)[:16]}.npz"
     if not kept.is_file():
         tasks = [(file, frame, samples, seed) for file in files]
         work = each(_sampled, tasks, processes)
