@@ -79,7 +79,7 @@ def compositions() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def subnormal_numbers() -> None:
-    """A training in this process flushes them to zero for good; without them hypothesis cannot draw near zero."""
+    """The loop of a training flushes them to zero for good; without them hypothesis cannot draw near zero."""
     if torch := sys.modules.get("torch"):
         torch.set_flush_denormal(False)
 

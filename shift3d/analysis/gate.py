@@ -17,6 +17,7 @@ from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
+from shift3d.store.user_cache import program_digest
 from shift3d.suite.frozen import FrozenSuite
 from shift3d.suite.releases import Release, accept_release, last_release
 from shift3d.suite.scoring import Scorer, score_suite
@@ -25,6 +26,7 @@ from shift3d.wording import counted
 
 Acceptance = Literal["false", "true", "anyway"]
 _SHOWN = 8
+_SCORING = ("detectors", "geometry", "processor.py", "attack/objective.py", "task/scoring.py", "suite")
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,8 @@ class Outcome:
 
 def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Location, settings: GateSettings) -> Outcome:
     """Score, compare, and write ``out``: gate.parquet (a row an object, worst first), verdict.json, gate.html, and the
-    answers, so that a killed gate goes on where it stopped. The same call gives the same bytes, whatever the workers.
+    answers, so that a killed gate goes on where it stopped; what another program scored is scored again. The same call
+    gives the same bytes, whatever the workers.
 
     Raises: InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
     folder, a damaged suite.
@@ -71,9 +74,9 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
         what = f"{detector} has no release to compare with, and did not score all of the suite's objects"
         raise InputError(what, str(releases), "Give accept=true to make these weights the first release")
     _claim(out, suite, scorer)
-    scores: dict[str, float] = {}
+    answers, scores = out / f"answers-{program_digest(*_SCORING)[:16]}", dict[str, float]()
     with progress_bar(total=len(suite.objects), desc="scoring", unit="object") as bar:
-        for table in score_suite(suite, scorer, out / "answers", settings.workers):
+        for table in score_suite(suite, scorer, answers, settings.workers):
             scores |= zip(table["object_id"], table["score"], strict=True)
             bar.update(len(table))
     after = {key: scores[key] for key in suite.objects["object_id"]}

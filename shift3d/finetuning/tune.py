@@ -27,6 +27,7 @@ from shift3d.task.assets import Assets
 from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.spec import TaskSpec
 from shift3d.training.command import WEIGHTS_FOLDER, TrainOptions
+from shift3d.training.compute import subnormals_as_before
 from shift3d.training.detector.drawn_crops import EpochCrops, epoch_steps
 from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Augmentation, Recipe
@@ -102,6 +103,7 @@ BATCH = 2
 """Crops a step, as `RATE` was chosen for."""
 
 
+@subnormals_as_before()
 def fine_tune(
     detector: str, sweep: LocationLike, options: TrainOptions, method: str = "adversarial", report: Report | None = None
 ) -> Path:

@@ -13,8 +13,18 @@ from shift3d.errors import InputError
 from shift3d.processor import rounding
 from shift3d.store.atomic import write_atomic
 
-# Libraries that the last bits of scenes and meshes may depend on.
-_LIBRARIES = ("numpy", "pyarrow", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")
+# Libraries that the last bits of scenes, meshes and scores may depend on.
+_LIBRARIES = (
+    "torch",
+    "numpy",
+    "pyarrow",
+    "scipy",
+    "embreex",
+    "trimesh",
+    "scikit-image",
+    "libigl",
+    "fast-simplification",
+)
 
 
 def user_cache() -> Path:
@@ -23,12 +33,17 @@ def user_cache() -> Path:
 
 
 def kept_file(folder: str, *made_of: object) -> Path:
-    """The file of the cache folder for what these make, each told by its `repr`, as this machine rounds."""
-    return user_cache() / folder / _digest(repr((*made_of, rounding())).encode())
+    """The file of the cache folder for what these make, see `digest_of`, as this machine rounds."""
+    return user_cache() / folder / digest_of(*made_of, rounding())
+
+
+def digest_of(*made_of: object) -> str:
+    """A file's name for what these make, each told by its `repr`."""
+    return _digest(repr(made_of).encode())
 
 
 def read_kept(file: Path) -> bytes | None:
-    """What `keep` wrote; None where there is no such file, or one that is torn or has changed since."""
+    """What `write_kept` wrote; None where there is no such file, or one that is torn or has changed since."""
     try:
         digest, _, content = file.read_bytes().partition(b"\n")
     except OSError:
@@ -39,7 +54,12 @@ def read_kept(file: Path) -> bytes | None:
 def keep(file: Path, content: bytes) -> None:
     """Write what can be made again, with its digest. A folder that cannot be written is done without."""
     with contextlib.suppress(InputError, OSError):
-        write_atomic(file, _digest(content).encode() + b"\n" + content)
+        write_kept(file, content)
+
+
+def write_kept(file: Path, content: bytes) -> None:
+    """`keep` where work would be lost. Raises: InputError: the disk is full or not writable."""
+    write_atomic(file, _digest(content).encode() + b"\n" + content)
 
 
 def _digest(content: bytes) -> str:
@@ -60,6 +80,6 @@ def source_digest(*parts: str) -> str:
 
 @functools.cache
 def program_digest(*parts: str) -> str:
-    """BLAKE2b of `source_digest` and of the versions of the libraries that scenes and meshes are made with."""
+    """BLAKE2b of `source_digest` and of the versions of the libraries that what is kept is made with."""
     libraries = [f"{library} {importlib.metadata.version(library)}" for library in _LIBRARIES]
     return hashlib.blake2b("\n".join([*libraries, source_digest(*parts)]).encode(), digest_size=16).hexdigest()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -63,6 +65,16 @@ class Compute:
         """What of this changes bytes, for a provenance file."""
         mixed = bfloat16 and self.fast_bfloat16
         return {"device": self.name, "threads": self.threads, "mixed_bfloat16": mixed, "flush_denormal": True}
+
+
+@contextmanager
+def subnormals_as_before() -> Iterator[None]:
+    """A training flushes subnormal numbers to zero: whatever computes afterwards has those again that it had."""
+    kept = bool(torch.tensor([1e-310], dtype=torch.float64).mul(1.0).any())
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(not kept)
 
 
 ONE_THREAD = Compute(torch.device("cpu"))

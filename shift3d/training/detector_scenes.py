@@ -14,8 +14,14 @@ from tqdm import tqdm
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
 from shift3d.store.arrays import write_arrays
+from shift3d.store.user_cache import program_digest
 from shift3d.training.processes import each
 
+# What scenes are made by, those with an object of a sweep too.
+_CODE = (
+    *("scenes", "vehicles", "sdf", "geometry", "render", "effects", "task", "seeding.py", "processor.py"),
+    *("training/detector_scenes.py", "training/inserted_vehicles.py"),
+)
 KEPT_RADIUS_M = 80.0
 EVERYWHERE_RAD = (0.0, float(np.pi))
 MARGIN_M = 0.1  # mirrors and antennas stand out of a box
@@ -92,10 +98,12 @@ def cache_scenes(
     title: str | None = None,
     workers: int = 1,
 ) -> list[Path]:
-    """Files of the named scenes in `folder`; those that are missing are built and written atomically.
+    """Files of the named scenes in a folder `folder`-PROGRAM; those that are missing are built and written atomically.
 
+    What another program built is built again.
     title: of a progress bar. workers: processes that build, to the same bytes; for several, `build` must be picklable.
     """
+    folder = folder.with_name(f"{folder.name}-{program_digest(*_CODE)[:16]}")
     folder.mkdir(parents=True, exist_ok=True)
     files = {name: folder / f"{name.replace('/', '_')}.npz" for name in names}
     missing = {name: file for name, file in files.items() if not file.exists()}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from pydantic import TypeAdapter
 
 from shift3d.errors import InputError
 from shift3d.progress_bar import progress_bar, write_line
@@ -18,17 +20,20 @@ from shift3d.sdf.autodecode import autodecode
 from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
 from shift3d.sdf.samples import SdfSamples, sample_sdf
 from shift3d.seeding import generator
+from shift3d.store.atomic import write_atomic
+from shift3d.store.user_cache import digest_of, program_digest, read_kept, write_kept
 from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.orientation import better_frame, turned
-from shift3d.vehicles.picture import write_side_by_side
+from shift3d.vehicles.picture import side_by_side
 from shift3d.vehicles.repair import RepairReport
 from shift3d.vehicles.vehicle import CODE_LENGTH
 from shift3d.vehicles.vehicle_set import FittedVehicle, fitted, write_vehicle_set
 from shift3d.wording import counted
 
 SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024
-PICTURES = "pictures"
+PICTURES, KEPT = "pictures", "kept"
+_CODE = ("vehicles", "sdf", "seeding.py", "processor.py")
 USUAL, WORST_USUAL = 0.0042, 0.008
 """Distances from the mesh, as shares of the vehicle's length: the median and the worst of 19 cars that the shipped
 decoder does not know (1.9 cm and 3.6 cm of 4.5 m)."""
@@ -38,19 +43,24 @@ decoder does not know (1.9 cm and 3.6 cm of 4.5 m)."""
 class MeshFit:
     """A vehicle fitted to a mesh, and what speaks against it.
 
-    picture: the mesh beside what the decoder makes of it. better: another orientation and the distance in metres with
-    which the decoder draws the mesh, where that is nearer. repair: what it took to close the mesh.
+    better: another orientation and the distance in metres with which the decoder draws the mesh, where that is nearer.
+    repair: what it took to close the mesh. facts: for sdf.json.
     """
 
     vehicle: FittedVehicle
-    picture: Path
     better: tuple[MeshFrame, float] | None
     repair: RepairReport
+    facts: dict[str, Any]
+
+    @property
+    def picture(self) -> Path:
+        """Below the set's folder: the mesh beside what the decoder makes of it."""
+        return Path(PICTURES) / f"{self.vehicle.name}.png"
 
     @property
     def usual_m(self) -> float:
         """How far vehicles of this length usually are from their meshes."""
-        return USUAL * float(np.ptp(self.vehicle.decoded.vertices[:, 0]))
+        return USUAL * (self.vehicle.bounds_m[1][0] - self.vehicle.bounds_m[0][0])
 
     @property
     def far(self) -> bool:
@@ -62,6 +72,10 @@ def fit_meshes(
     path: Path | str, frame: MeshFrame, out: Path | str, decoder_file: Path | str | None = None, steps: int = STEPS
 ) -> list[MeshFit]:
     """Find a code for every mesh at a path and write the vehicle set, with a picture of each beside its mesh.
+
+    ``out``/kept holds what was found for each mesh: the same call again fits those that are missing or damaged there,
+    and those whose files, or the decoder or the program, have changed since. The set is the same whether it was killed
+    or not.
 
     Args:
         path: a mesh, or a folder (`find_meshes`). frame: its orientation and scale.
@@ -77,10 +91,22 @@ def fit_meshes(
         remedy = f"Give a decoder of codes of length {CODE_LENGTH}, as a vehicle set holds them"
         raise InputError(f"codes of length {length}", str(source), remedy)
     files = find_meshes(path)
-    fits: list[MeshFit] = []
-    facts: list[dict[str, Any]] = []
+    folder = Path(out)
+    made_with = frame, steps, hashlib.blake2b(source.read_bytes()).hexdigest(), program_digest(*_CODE)
+
+    def kept(file: MeshFile) -> Path:
+        return folder / KEPT / digest_of(file, file.sha256(), *made_with)
+
+    as_json, fits = TypeAdapter(MeshFit), dict[MeshFile, tuple[MeshFit, bytes]]()
+    for file in files:
+        with contextlib.suppress(InputError):  # said where it is fitted
+            if content := read_kept(kept(file)):
+                text, _, picture = content.partition(b"\n")
+                fits[file] = as_json.validate_json(text), picture
     refused: dict[str, str] = {}
-    bar = progress_bar(files, desc="fitting meshes", unit="mesh", disable=len(files) == 1)
+    left = [file for file in files if file not in fits]
+    shown = {"total": len(files), "initial": len(fits), "disable": len(files) == 1}
+    bar = progress_bar(left, desc="fitting meshes", unit="mesh", **shown)
 
     def say(text: str) -> None:
         """Beside the bar, or in a line of its own."""
@@ -91,36 +117,39 @@ def fit_meshes(
 
     for file in bar:
         try:
-            fit, known = _fit(file, frame, decoder, steps, Path(out), say)
+            place = kept(file)  # before it is read: one that changes meanwhile is fitted again
+            fit, picture = fits[file] = _fit(file, frame, decoder, steps, say)
         except InputError as error:
             if len(files) == 1:
                 raise
             refused[str(file.path)] = str(error)
             bar.write(f"left out: {error}")
             continue
-        fits.append(fit)
-        facts.append(known)
+        write_kept(place, as_json.dump_json(fit) + b"\n" + picture)
     if not fits:
         first = next(iter(refused.values()))
         raise InputError(f"none of {len(files)} meshes can be used", str(path), f"Repair them, as the first: {first}")
+    found = [fits[file] for file in files if file in fits]
     provenance = {
         "model": "codes auto-decoded from meshes",
         "decoder": str(source),
         "steps": steps,
         "points_a_step": POINTS_A_STEP,
         "frame": asdict(frame),
-        "vehicles": facts,
+        "vehicles": [fit.facts for fit, _ in found],
         "refused": refused,
     }
-    write_vehicle_set(out, source, [fit.vehicle for fit in fits], provenance)
-    return fits
+    for fit, picture in found:
+        write_atomic(folder / fit.picture, picture)
+    write_vehicle_set(folder, source, [fit.vehicle for fit, _ in found], provenance)
+    return [fit for fit, _ in found]
 
 
 def _fit(
-    file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, out: Path, say: Callable[[str], None]
-) -> tuple[MeshFit, dict[str, Any]]:
-    """One mesh. say: told each stage from when the file is read."""
-    start = time.monotonic()
+    file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, say: Callable[[str], None]
+) -> tuple[MeshFit, bytes]:
+    """One mesh, and its picture as PNG. say: told each stage from when the file is read."""
+    sha256 = file.sha256()
     vehicle = read_mesh_vehicle(file, frame)
     say(f"{vehicle.name}: measuring distances to its surface")
     samples = sample_sdf(vehicle.mesh, SAMPLES, generator("mesh fit", vehicle.name))
@@ -128,24 +157,21 @@ def _fit(
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
     say(f"{vehicle.name}: drawing the code")
     try:
-        done = fitted(vehicle.name, vehicle.body_type, decoder, code, samples.scale_m, vehicle.mesh)
+        done, decoded = fitted(vehicle.name, vehicle.body_type, decoder, code, samples.scale_m, vehicle.mesh)
     except InputError as error:
         remedy = "Give more steps=, or another decoder="
         raise InputError("the decoder draws no surface for it", str(file.path), remedy) from error
     say(f"{vehicle.name}: trying other orientations")
     better = _better(done, vehicle, frame, decoder, samples, steps)
-    picture = out / PICTURES / f"{vehicle.name}.png"
-    write_side_by_side(picture, vehicle.mesh, done.decoded)
     facts = {
         **vehicle.facts(),
-        "sha256": file.sha256(),
+        "sha256": sha256,
         "chamfer_cm": round(100.0 * done.chamfer_m, 3),
         "better_orientation": better
         and {"forward": better[0].forward, "up": better[0].up, "chamfer_cm": round(100.0 * better[1], 3)},
         "code_norm": round(float(np.linalg.norm(code)), 4),
-        "seconds": round(time.monotonic() - start, 1),
     }
-    return MeshFit(done, picture, better, vehicle.repair), facts
+    return MeshFit(done, better, vehicle.repair, facts), side_by_side(vehicle.mesh, decoded)
 
 
 def _better(
@@ -159,7 +185,7 @@ def _better(
     samples = replace(samples, points=turned(samples.points, frame, other))
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
     try:
-        chamfer_m = fitted(done.name, done.body_type, decoder, code, samples.scale_m, mesh).chamfer_m
+        chamfer_m = fitted(done.name, done.body_type, decoder, code, samples.scale_m, mesh)[0].chamfer_m
     except InputError:  # that way round it draws no surface
         return None
     return (other, chamfer_m) if chamfer_m < done.chamfer_m else None

@@ -7,7 +7,6 @@ import hashlib
 import io
 import itertools
 import json
-import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -35,8 +34,16 @@ class MeshFile:
     path: Path
 
     def sha256(self) -> str:
-        """Hash of the file's bytes, hexadecimal; of a .gltf, with those of the files that hold its vertices."""
-        content = self.path.read_bytes()
+        """Hash of the file's bytes, hexadecimal; of a .gltf, with those of the files that hold its vertices.
+
+        Raises: InputError: it cannot be read.
+        """
+        try:
+            content = self.path.read_bytes()
+        except OSError as error:
+            raise InputError(
+                f"cannot be read ({error.strerror})", where=str(self.path), remedy="Give a mesh"
+            ) from error
         digest = hashlib.sha256(content)
         for part in _files_beside(content) if self.path.suffix.lower() == ".gltf" else ():
             if (file := self.path.parent / part).is_file():  # reading the mesh says what is missing
@@ -153,16 +160,12 @@ UNKNOWN_BODY_TYPE = "vehicle"
 
 @dataclass(frozen=True)
 class MeshVehicle:
-    """A vehicle's closed mesh in the object frame, metres, and where it comes from.
-
-    seconds: wall time of reading and repairing.
-    """
+    """A vehicle's closed mesh in the object frame, metres, and where it comes from."""
 
     name: str
     file: MeshFile
     mesh: trimesh.Trimesh
     repair: RepairReport
-    seconds: float
 
     @property
     def body_type(self) -> str:
@@ -185,7 +188,6 @@ class MeshVehicle:
             "size_m": list(self.size_m),
             "repair": asdict(self.repair),
             "repair_text": str(self.repair),
-            "seconds": round(self.seconds, 3),
         }
 
 
@@ -194,8 +196,7 @@ def read_mesh_vehicle(file: MeshFile, frame: MeshFrame) -> MeshVehicle:
 
     Raises: InputError naming the file: unreadable, no faces, the wrong unit or orientation, or not to be repaired.
     """
-    start = time.monotonic()
     where = str(file.path)
     mesh, report = repaired(frame.to_object(read_mesh(file.path), where), where)
     centred = trimesh.Trimesh(mesh.vertices - mesh.bounds.mean(axis=0), mesh.faces, process=False)
-    return MeshVehicle(file.name, file, centred, report, time.monotonic() - start)
+    return MeshVehicle(file.name, file, centred, report)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import io
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-
-from shift3d.store.atomic import write_atomic
 
 Array = NDArray[np.float64]
 LIGHT = np.array([0.45, 0.55, 0.75])
@@ -63,7 +61,7 @@ def shaded(
     return np.asarray(np.round(fine * 255), np.uint8)
 
 
-def write_side_by_side(path: Path, mesh: trimesh.Trimesh, decoded: trimesh.Trimesh) -> None:
+def side_by_side(mesh: trimesh.Trimesh, decoded: trimesh.Trimesh) -> bytes:
     """A PNG, 960 pixels wide: side view and view from the front left of a mesh (grey), then of a decoded one (blue).
 
     Args: both meshes in the object frame, metres, about the origin.
@@ -76,4 +74,6 @@ def write_side_by_side(path: Path, mesh: trimesh.Trimesh, decoded: trimesh.Trime
         for surface, rgb in ((mesh, MESH_RGB), (decoded, BODY_RGB))
         for azimuth in AZIMUTHS_RAD
     ]
-    write_atomic(path, lambda file: imsave(file, np.concatenate(views, axis=1), format="png"))
+    picture = io.BytesIO()
+    imsave(picture, np.concatenate(views, axis=1), format="png")
+    return picture.getvalue()

@@ -33,34 +33,36 @@ RESOLUTION = 129
 class FittedVehicle:
     """A code for a mesh, and how well it draws it.
 
-    latent_code: (code,) float32. scale_m: metres per sdf unit. decoded: its surface, in the mesh's frame, metres.
-    chamfer_m: symmetric Chamfer distance between that and the mesh (`shift3d.sdf.meshes`).
+    latent_code: float32 values. scale_m: metres per sdf unit. bounds_m: lowest and highest corner of its surface, in
+    the mesh's frame. pieces: of the surface. chamfer_m: symmetric Chamfer distance between that and the mesh
+    (`shift3d.sdf.meshes`).
     """
 
     name: str
     body_type: str
-    latent_code: NDArray[np.float32]
+    latent_code: tuple[float, ...]
     scale_m: float
-    decoded: trimesh.Trimesh
+    bounds_m: tuple[tuple[float, ...], tuple[float, ...]]
+    pieces: int
     chamfer_m: float
 
     def facts(self) -> dict[str, Any]:
         """What `shift3d.vehicles.vehicle` reads of it: the object frame's origin is the decoded box's centre."""
-        low, high = np.asarray(self.decoded.bounds, np.float64)
+        low, high = np.array(self.bounds_m)
         return {
             "body_type": self.body_type,
             "scale_m": self.scale_m,
             "sdf_R_object": np.eye(3).tolist(),
             "sdf_t_object": ((low + high) / 2.0 / self.scale_m).tolist(),
             "size_m": (high - low).tolist(),
-            "pieces": int(self.decoded.body_count),
+            "pieces": self.pieces,
         }
 
 
 def fitted(
     name: str, body_type: str, decoder: Decoder, code: NDArray[np.float32], scale_m: float, mesh: trimesh.Trimesh
-) -> FittedVehicle:
-    """Decode a code and measure it against the mesh that it stands for.
+) -> tuple[FittedVehicle, trimesh.Trimesh]:
+    """Decode a code and measure it against the mesh that it stands for; the vehicle, and its surface in metres.
 
     Args: mesh: object frame, metres, its box's centre at the origin, which is the origin of the sdf frame.
     Raises: InputError when the code decodes to no surface.
@@ -68,7 +70,9 @@ def fitted(
     decoded = extract_mesh(decoder.field(torch.from_numpy(code)), RESOLUTION)
     decoded.vertices = decoded.vertices * scale_m
     chamfer_m = symmetric_chamfer(decoded, mesh, generator("chamfer", name))
-    return FittedVehicle(name, body_type, code, scale_m, decoded, chamfer_m)
+    low, high = map(tuple, np.asarray(decoded.bounds, np.float64).tolist())
+    pieces = int(decoded.body_count)
+    return FittedVehicle(name, body_type, tuple(code.tolist()), scale_m, (low, high), pieces, chamfer_m), decoded
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def write_vehicle_set(
     boxes: Mapping[str, BoxOfParameters] | None = None,
     known: KnownCodes | None = None,
 ) -> None:
-    """Write the three files of a vehicle set to a folder, each atomically, the vehicles last.
+    """Write the three files of a vehicle set to a folder, each atomically, the vehicles last: without them it is none.
 
     Vehicles are stored by name (`baseline_vehicles`), and everything that the decoder knows in one table
     (`family_vehicles`): `known`, or the same vehicles in the same order. boxes: by name, the parameters that codes are
@@ -101,6 +105,7 @@ def write_vehicle_set(
         raise InputError("no vehicles, or two of one name", where=str(out), remedy="Give one file for every vehicle")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / VEHICLES_FILE).unlink(missing_ok=True)  # a kill must not leave them with another decoder
     if isinstance(decoder, Decoder):
         save_decoder(decoder, folder / DECODER_FILE)
     else:
@@ -110,13 +115,13 @@ def write_vehicle_set(
     measured = {"chamfer_median_cm": median, "chamfer_worst_cm": worst, "extraction_resolution": RESOLUTION}
     write_atomic(folder / FACTS_FILE, (json.dumps(provenance | measured, indent=1) + "\n").encode())
     baselines = {vehicle.name: vehicle.facts() for vehicle in vehicles}
-    tensors = {f"{vehicle.name}.latent_code": vehicle.latent_code.astype(np.float32) for vehicle in vehicles}
+    tensors = {f"{vehicle.name}.latent_code": np.array(vehicle.latent_code, np.float32) for vehicle in vehicles}
     for name, box in (boxes or {}).items():
         baselines[name]["parameters"] = list(box.names)
         tensors |= parameter_tensors(name, box)
     known = known or KnownCodes(
         tuple(vehicle.body_type for vehicle in vehicles),
-        np.stack([vehicle.latent_code for vehicle in vehicles]),
+        np.array([vehicle.latent_code for vehicle in vehicles], np.float32),
         np.array([vehicle.scale_m for vehicle in vehicles]),
         np.array([facts["size_m"] for facts in baselines.values()]),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command, key_values, whole_number, writable_folder
@@ -22,7 +23,8 @@ _DESCRIPTION = """\
 Finds the latent code that draws each mesh best, with the shipped decoder or decoder=FILE, and writes a vehicle
 set to out=: vehicles.safetensors, its decoder sdf.safetensors, sdf.json (what was repaired, and how many
 centimetres each code is off) and pictures/, each mesh beside what the decoder makes of it. Warns where another
-orientation of the mesh fits better, and where a vehicle is far from its mesh (exit code 3)."""
+orientation of the mesh fits better, and where a vehicle is far from its mesh (exit code 3). The same command again
+resumes: out=/kept holds every mesh that is fitted, and vehicles.safetensors is written last."""
 
 _EPILOG = f"""\
 examples:
@@ -48,13 +50,13 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f"{fit.vehicle.name}: {size} m, {100 * fit.vehicle.chamfer_m:.1f} cm from its mesh")
         if not fit.repair.watertight:
             print(f"{fit.vehicle.name}: mesh {fit.repair}")
-        for doubt in _doubts(fit, frame):
+        for doubt in _doubts(fit, frame, out):
             print(f"warning: {fit.vehicle.name}: {doubt}", file=sys.stderr)
     print(f"{counted(len(fits), 'vehicle')} in {out}/")
     return int(ExitCode.INCOMPLETE if any(fit.far for fit in fits) else ExitCode.DONE)
 
 
-def _doubts(fit: MeshFit, frame: MeshFrame) -> list[str]:
+def _doubts(fit: MeshFit, frame: MeshFrame, out: Path) -> list[str]:
     """What a user should look at before a sweep inserts the vehicle."""
     doubts = []
     if fit.better:
@@ -65,7 +67,7 @@ def _doubts(fit: MeshFit, frame: MeshFrame) -> list[str]:
     if fit.far:
         usual = f"{100 * fit.usual_m:.1f} cm is usual for a car of this length"
         why = "perhaps for its orientation" if fit.better else "the decoder cannot draw it"
-        doubts.append(f"far from its mesh ({usual}), {why}: see {fit.picture}")
+        doubts.append(f"far from its mesh ({usual}), {why}: see {out / fit.picture}")
     return doubts
 
 
@@ -77,5 +79,6 @@ COMMAND = Command(
     _run,
     words=f"out=DIR decoder=FILE steps=N {'= '.join(FRAME_KEYS)}=",
     complete=key_words(_KEYS, FRAME_VALUES),
+    resumes=True,
     options=lambda parser: parser.add_argument("path", metavar="PATH", help="a mesh, or a folder of meshes"),
 )

@@ -20,8 +20,10 @@ from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Decoder
 from shift3d.store.arrays import write_arrays
+from shift3d.store.atomic import write_atomic
+from shift3d.store.user_cache import program_digest
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import Compute
+from shift3d.training.compute import Compute, subnormals_as_before
 from shift3d.training.processes import each
 from shift3d.training.progress import Report
 from shift3d.training.provenance import versions
@@ -31,7 +33,7 @@ from shift3d.training.sdf_shapes import ShapeSamples, in_random_order
 from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.picture import write_side_by_side
+from shift3d.vehicles.picture import side_by_side
 from shift3d.vehicles.vehicle_set import FACTS_FILE, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000
@@ -40,14 +42,15 @@ NETWORK_RATE, CODE_RATE = 8e-4, 2e-3
 SAMPLES_A_SHAPE = 100_000
 SEED = 7
 _VERSION = 2
-"""Raised when the file of samples comes to hold something else."""
+"""Of what identifies meshes in a recipe."""
+_CODE = ("sdf/samples.py", "seeding.py", "training/sdf_shapes.py", "vehicles")
 
 
 @dataclass(frozen=True)
 class MeshShapes:
     """Samples of S meshes, and by the same index what is known of each.
 
-    facts: per shape, as JSON values: name, file, sha256, repair, size_m, seconds. refused: what could not be used,
+    facts: per shape, as JSON values: name, file, sha256, repair, size_m. refused: what could not be used,
     and why, by file.
     """
 
@@ -59,8 +62,8 @@ class MeshShapes:
 def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cache: Path, processes: int) -> MeshShapes:
     """Sample the meshes at a path, or read them back from `cache` (a folder) when it holds just these.
 
-    A mesh that cannot be used is left out and said so, once; the samples of a shape are in random order, so that
-    consecutive slices are fair batches.
+    What another program sampled is sampled again. A mesh that cannot be used is left out and said so, once; the samples
+    of a shape are in random order, so that consecutive slices are fair batches.
     Raises: InputError when there are no meshes at the path, or none that can be used.
     """
     files = find_meshes(path)
@@ -69,7 +72,7 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
         [_VERSION, asdict(frame), samples, seed, [[f.name, h] for f, h in zip(files, hashes)]], sort_keys=True
     )
     source = "meshes-" + hashlib.blake2b(request.encode(), digest_size=8).hexdigest()
-    kept = cache / f"{source}.npz"
+    kept = cache / f"{source}-{program_digest(*_CODE)[:16]}.npz"
     if not kept.is_file():
         tasks = [(file, frame, samples, seed) for file in files]
         work = each(_sampled, tasks, processes)
@@ -131,6 +134,7 @@ def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
     )
 
 
+@subnormals_as_before()
 def train_on_meshes(
     path: Path | str, frame: MeshFrame, out: Path, compute: Compute, steps: int = STEPS, report: Report | None = None
 ) -> list[float]:
@@ -210,8 +214,8 @@ def _measured(frame: MeshFrame, pictures: Path, decoder: Decoder, row: _Row) -> 
     facts, code, scale_m = row
     try:
         vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
-        done = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
+        done, decoded = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
     except InputError as error:
         return str(error)
-    write_side_by_side(pictures / f"{vehicle.name}.png", vehicle.mesh, done.decoded)
+    write_atomic(pictures / f"{vehicle.name}.png", side_by_side(vehicle.mesh, decoded))
     return done

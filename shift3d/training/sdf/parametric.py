@@ -23,7 +23,7 @@ from shift3d.sdf.decoder import Architecture, Decoder, load_decoder, parameters_
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import derive_seed, generator
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import Compute
+from shift3d.training.compute import Compute, subnormals_as_before
 from shift3d.training.progress import Report
 from shift3d.training.provenance import versions
 from shift3d.training.sdf.export import CODE_NORM
@@ -120,6 +120,7 @@ def train_parametric(
     return file
 
 
+@subnormals_as_before()
 def train_wide(
     out: Path, compute: Compute, count: int | None = None, steps: int | None = None, report: Report | None = None
 ) -> list[float]:
@@ -159,7 +160,7 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
         mesh = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M))
         mesh.vertices *= frame.scale_m
         name = kind.replace("+", "_with_")
-        vehicles.append(fitted(name, spec.body_type, decoder, codes[index].copy(), frame.scale_m, mesh))
+        vehicles.append(fitted(name, spec.body_type, decoder, codes[index].copy(), frame.scale_m, mesh)[0])
         boxes[name] = _box(shapes, basis, index, members)
     known = KnownCodes(
         tuple(spec.kind for spec in shapes.specs),

@@ -19,9 +19,11 @@ from shift3d.analysis.tables.gate import compare
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.store.resolve import as_location
+from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.suite.frozen import read_suite
 from shift3d.suite.releases import last_release
 from shift3d.suite.scoring import Scorer
+from shift3d.suite.tables import suite_table_bytes
 
 
 @pytest.fixture
@@ -132,10 +134,26 @@ def test_detectors_of_one_kind_have_releases_of_their_own(folder: Path) -> None:
 
 def test_a_damaged_answer_is_to_be_removed(folder: Path) -> None:
     gate(folder, -2.0, "true")
-    (answers, *_) = sorted((folder / "out-2" / "answers").glob("*.parquet"))
+    (answers, *_) = sorted((folder / "out-2").glob("answers-*/*.parquet"))
     answers.write_bytes(b"PAR1")
     with pytest.raises(InputError, match="Remove it: it is scored again"):
         gate(folder, -2.0, against=1)
+
+
+def test_what_another_program_scored_is_scored_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gate(folder, -2.0, "true")
+    assert gate(folder, -2.6).exit_code == ExitCode.WORSE
+    for file in (folder / "out-2.6").glob("answers*/*.parquet"):  # as a program that is surer would have left it
+        table = pq.read_table(file)
+        file.write_bytes(suite_table_bytes(table.set_column(1, table.schema.field(1), pa.array([0.99] * len(table)))))
+    assert gate(folder, -2.6).exit_code == ExitCode.DONE
+    read = Path.read_bytes
+    monkeypatch.setattr(
+        Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith("detectors/nms.py")
+    )
+    monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
+    monkeypatch.setattr("shift3d.analysis.gate.program_digest", program_digest.__wrapped__, raising=False)
+    assert gate(folder, -2.6).exit_code == ExitCode.WORSE
 
 
 def test_a_verdict_does_not_promise_to_find_what_cannot_be_lost() -> None:

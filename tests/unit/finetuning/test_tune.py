@@ -50,6 +50,7 @@ def test_the_same_command_again_leaves_the_same_bytes(_attacked: Path, weights: 
     words = ("recipe.peak_rate=2e-5", "recipe.seed=3")
     before = weights.read_bytes()
     assert tuned(_attacked, weights.parent, *words).read_bytes() == before, "what is finished is finished again"
+    assert np.array([1e-310]) * 1.0 > 0.0, "what is measured next computes with subnormal numbers"
     with pytest.raises(InputError, match="another recipe"):
         tuned(_attacked, weights.parent, "recipe.peak_rate=1e-3", "recipe.seed=3")
 

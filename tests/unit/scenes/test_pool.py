@@ -65,11 +65,16 @@ def test_another_program_keeps_meshes_elsewhere(
         assert pool.cache_folder() != known
 
 
-def test_other_libraries_keep_meshes_elsewhere(digests: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
-    known = pool.cache_folder()
+@pytest.mark.parametrize("other", ["numpy", "torch"])
+def test_another_library_keeps_meshes_elsewhere(
+    other: str, digests: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known, version = pool.cache_folder(), user_cache.importlib.metadata.version
     digests()
     with monkeypatch.context() as patch:
-        patch.setattr(user_cache.importlib.metadata, "version", lambda library: "0")
+        patch.setattr(
+            user_cache.importlib.metadata, "version", lambda library: version(library) + "x" * (library == other)
+        )
         assert pool.cache_folder() != known
 
 

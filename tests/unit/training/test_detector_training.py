@@ -15,6 +15,7 @@ from shift3d.detectors.models.backbone import BackboneSpec
 from shift3d.detectors.models.sst import SST_SMALL_SPEC
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.training.detector.anchor_objective import (
     IGNORED,
     NEGATIVE,
@@ -263,6 +264,17 @@ def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:
     scene, read = _scene("5"), load_cached(files[0])
     assert np.array_equal(scene.points, read.points) and np.array_equal(scene.boxes, read.boxes)
     assert read.sensor_height_m == 1.73
+
+
+def test_scenes_of_another_program_are_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache_scenes(tmp_path / "scenes", ["5"], lambda _: _scene("4"))  # as a program before would have built it
+    read, part = Path.read_bytes, "/scenes/street/raycast.py"
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(part))
+    monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
+    monkeypatch.setattr("shift3d.training.detector_scenes.program_digest", program_digest.__wrapped__, raising=False)
+    (again,) = cache_scenes(tmp_path / "scenes", ["5"], _scene)
+    assert np.array_equal(load_cached(again).points, _scene("5").points)
+    assert cache_scenes(tmp_path / "scenes", ["5"], lambda _: pytest.fail("built twice")) == [again]
 
 
 def test_inserted_scenes_of_another_seed_or_number_of_scenes_are_not_taken_over(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ import trimesh
 
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder
+from shift3d.store.arrays import write_arrays
+from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.sdf.on_meshes import MeshShapes, export_mesh_training, is_exported, mesh_recipe, mesh_shapes
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
@@ -91,6 +93,24 @@ def test_samples_are_kept_until_a_mesh_or_the_seed_changes(
     assert len(set(sources)) == 3
 
 
+def test_samples_of_another_program_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trimesh.creation.box((4.0, 1.8, 1.4)).export(tmp_path / "box.ply")
+
+    def points() -> np.ndarray:
+        return mesh_shapes(tmp_path, FRAME, SAMPLES, 1, tmp_path, 1).samples.points
+
+    first = points()
+    (kept,) = tmp_path.glob("*.npz")
+    with np.load(kept) as data:
+        write_arrays(kept, **{**data, "points": first + 1.0})
+    assert np.array_equal(points(), first + 1.0)
+    read, part = Path.read_bytes, "/vehicles/repair.py"
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(part))
+    monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
+    monkeypatch.setattr("shift3d.training.sdf.on_meshes.program_digest", program_digest.__wrapped__, raising=False)
+    assert np.array_equal(points(), first)
+
+
 def test_meshes_that_have_moved_are_found_where_they_are_now(folder: Path, shapes: MeshShapes, tmp_path: Path) -> None:
     moved = shutil.copytree(folder, tmp_path / "elsewhere")
     found = mesh_shapes(moved, FRAME, SAMPLES, 1, folder.parent / "cache", 1)
@@ -131,7 +151,7 @@ def test_a_vehicle_set_of_this_training_is_not_made_again(shapes: MeshShapes, tm
     recipe = dataclasses.replace(mesh_recipe(shapes, steps=1), batch_a_shape=8, compute="float32")
     checkpoint = train_sdf(tmp_path, recipe, samples=shapes.samples)
     assert not is_exported(checkpoint, tmp_path)
-    egg = FittedVehicle("egg", "vehicle", np.zeros(256, np.float32), 2.0, trimesh.creation.icosphere(), 0.01)
+    egg = FittedVehicle("egg", "vehicle", (0.0,) * 256, 2.0, ((-1.0,) * 3, (1.0,) * 3), 1, 0.01)
     made = {"recipe": dataclasses.asdict(recipe), "step": 1, "vehicles": [{"name": "egg", "chamfer_cm": 1.0}]}
     for facts, found in ((made, True), ({**made, "step": 2}, False), ({**made, "recipe": {}}, False), ({}, False)):
         write_vehicle_set(tmp_path, Decoder(), [egg], facts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -124,6 +125,16 @@ def test_a_training_that_diverges_ends_there_and_leaves_the_weights_that_are_the
         train_detector(tmp_path / "out", recipe, weights, KittiScenes(_kitti(tmp_path)))
     assert "smaller recipe.peak_rate=" in caught.value.remedy
     assert weights.read_bytes() == b"those before"
+
+
+@pytest.mark.parametrize("rate", [TINY.peak_rate, 1e30])  # the second ends in an error
+@pytest.mark.parametrize("flushed", [False, True])
+def test_subnormal_numbers_are_after_a_training_as_before(flushed: bool, rate: float, tmp_path: Path) -> None:
+    recipe = dataclasses.replace(TINY, steps=2, mesh_only_steps=2, settle_steps=1, peak_rate=rate)
+    torch.set_flush_denormal(flushed)
+    with contextlib.suppress(InputError):
+        train_detector(tmp_path / "out", recipe, scenes=KittiScenes(_kitti(tmp_path)))
+    assert bool(torch.tensor([1e-310], dtype=torch.float64) * 1.0 > 0.0) is not flushed
 
 
 def test_a_folder_of_other_scenes_is_refused(tmp_path: Path) -> None:

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +20,8 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import Architecture, Decoder, load_decoder, save_decoder
 from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
-from shift3d.vehicles import orientation, vehicle_set
+from shift3d.store.user_cache import program_digest, source_digest
+from shift3d.vehicles import fit, orientation, vehicle_set
 from shift3d.vehicles.family import build_mesh, sample_spec
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.orientation import frames_along, turned
@@ -105,6 +111,90 @@ def test_what_closing_a_mesh_took_is_printed(
     main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=1", f"out={tmp_path / 'set'}"])
     printed = capsys.readouterr().out
     assert "cube: mesh not closed (3 open edges); 1 hole filled, the widest 565.7 cm" in printed
+
+
+def contents(folder: Path, below: str = "*") -> dict[str, tuple[int, bytes]]:
+    """Of a folder's files by name: when they were written, and their bytes."""
+    files = [file for file in folder.rglob(below) if file.is_file() and not file.name.startswith(".")]
+    return {str(file.relative_to(folder)): (file.stat().st_mtime_ns, file.read_bytes()) for file in files}
+
+
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> str:
+    """Fits that take a second, here and in a process that runs the given source first."""
+    for module, name, value in ((fit, "SAMPLES", 2_000), (vehicle_set, "RESOLUTION", 33), (orientation, "STEPS", 1)):
+        monkeypatch.setattr(module, name, value)
+    values = "fit.SAMPLES, vehicle_set.RESOLUTION, orientation.STEPS = 2_000, 33, 1"
+    return f"from shift3d.vehicles import fit, orientation, vehicle_set; {values}"
+
+
+def test_a_killed_fit_keeps_each_mesh_and_ends_as_one_that_was_not(
+    tmp_path: Path, coarse: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "broken.ply").write_text("none")
+    for height_m, name in ((1.0, "a"), (1.5, "b")):
+        trimesh.creation.box((2.0, height_m, 4.0)).export(tmp_path / "meshes" / f"{name}.ply")
+    out, words = tmp_path / "killed", ["fit", str(tmp_path / "meshes"), "unit=m", "steps=2"]
+    run = f"import sys; from shift3d.cli.main import main; {coarse}; main(sys.argv[1:])"
+    process = subprocess.Popen([sys.executable, "-c", run, *words, f"out={out}"], stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not contents(out):
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    left = contents(out)
+    assert len(left) == 1 and all(name.startswith("kept/") for name in left), "nothing that a sweep would take"
+    code = main([*words, f"out={out}"])
+    assert " 1/3 " in capsys.readouterr().err
+    assert left.items() <= contents(out).items(), "what was kept is not fitted again"
+    resumed = {name: content for name, (_, content) in contents(out).items()}
+    assert main([*words, f"out={tmp_path / 'whole'}"]) == code
+    assert {name: content for name, (_, content) in contents(tmp_path / "whole").items()} == resumed
+    assert VehicleSet(out).names() == ["a", "b"] and len(resumed) == 2 + 2 + 3
+
+
+def test_another_mesh_word_decoder_or_program_and_a_damaged_file_are_fitted_again(
+    tmp_path: Path, coarse: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cube, out = tmp_path / "cube.ply", tmp_path / "set"
+    trimesh.creation.box((4.0, 4.0, 4.0)).export(cube)
+    save_decoder(load_decoder(), tmp_path / "other.safetensors")
+
+    def fitted(*words: str) -> int:
+        """How many entries a fit wrote."""
+        before = contents(out / "kept")
+        main(["fit", str(cube), "unit=m", f"out={out}", *(words or ("steps=1",))])
+        return len(contents(out / "kept").items() - before.items())
+
+    assert fitted() == 1 and fitted() == 0
+    ((name, (_, content)),) = contents(out / "kept").items()
+    (out / "kept" / name).write_bytes(content[:-1])
+    assert fitted() == 1 and contents(out / "kept")[name][1] == content
+    assert [
+        fitted("steps=2"),
+        fitted("steps=1", "up=-y"),
+        fitted("steps=1", f"decoder={tmp_path / 'other.safetensors'}"),
+    ] == [1, 1, 1]
+    trimesh.creation.box((3.9, 4.0, 4.0)).export(cube)
+    assert fitted() == 1 and fitted() == 0
+    read = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith("/autodecode.py"))
+    monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
+    monkeypatch.setattr(fit, "program_digest", program_digest.__wrapped__)
+    assert fitted() == 1
+
+
+def test_a_set_whose_writing_fails_is_none(tmp_path: Path) -> None:
+    vehicle = vehicle_set.FittedVehicle("egg", "vehicle", (0.0,) * 256, 2.0, ((-1.0,) * 3, (1.0,) * 3), 1, 0.01)
+    vehicle_set.write_vehicle_set(tmp_path, load_decoder(), [vehicle], {})
+    (tmp_path / "sdf.json").unlink()
+    (tmp_path / "sdf.json").mkdir()
+    with pytest.raises(InputError, match=r"sdf\.json"):
+        vehicle_set.write_vehicle_set(tmp_path, Decoder(), [vehicle], {})
+    with pytest.raises(InputError, match=r"vehicles\.safetensors"):  # of the decoder before
+        VehicleSet(tmp_path).names()
 
 
 def test_orientations_along_an_axis_are_all_eight_and_turn_points_as_their_frames_do() -> None:
