@@ -86,7 +86,9 @@ def test_a_sweep_of_ones_own_in_an_empty_folder(python: Path, tmp_path: Path) ->
     (tmp_path / "sweeps").mkdir()
     (tmp_path / "conf" / "attack").mkdir(parents=True)
     (tmp_path / "sweeps" / "mine.yaml").write_text("defaults: [smoke, override /attack: tiny, _self_]\nmode: pose\n")
-    (tmp_path / "conf" / "attack" / "tiny.yaml").write_text("defaults: [short, _self_]\nsteps: 1\nrandom_replicates: 0\n")
+    (tmp_path / "conf" / "attack" / "tiny.yaml").write_text(
+        "defaults: [short, _self_]\nsteps: 1\nrandom_replicates: 0\n"
+    )
     words = ["mode=pose", "vehicle=suv", "accuracy=draft", "accuracy.render.sdf_grid=false", "naturalness=none"]
     words += ["runner=local", "tracking=none"]
     assert "out/final written" in run(python, tmp_path, "sweep", "mine", *words, "out=out", OMP_NUM_THREADS="1")
