@@ -204,12 +204,8 @@ class StreetScenes:
         return [self._name(index) for index in range(self.start, self.start + self.count)]
 
     def load(self, name: str) -> Scene:
-        """The scene of a name: the same bytes every time."""
-        from shift3d.scenes.street.assemble import street_scene
-
-        scene = street_scene(*self._arguments(name))
-        scene.validate()
-        return scene
+        """The scene of a name: the same bytes every time. Its arrays are for reading: others may be given them too."""
+        return _made(*self._arguments(name))
 
     def vehicles(self, name: str) -> tuple[PlacedVehicle, ...]:
         """The vehicles of the scene of a name with their meshes."""
@@ -249,3 +245,14 @@ class StreetScenes:
 
     def _sensor_of(self, index: int) -> str:
         return self.sensor if self.sensor != "mixed" else ("hdl64", "waymo_top")[index % 2]
+
+
+@functools.lru_cache(maxsize=8)
+def _made(split: str, seed: int, index: int, sensor: str, options: StreetOptions) -> Scene:
+    """A street, validated. It takes half a second to make and 4 MB to keep, and a command may come to one several
+    times: in its plan, its tasks, and what follows them."""
+    from shift3d.scenes.street.assemble import street_scene
+
+    scene = street_scene(split, seed, index, sensor, options)
+    scene.validate()
+    return scene

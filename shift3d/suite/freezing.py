@@ -19,6 +19,7 @@ from shift3d.progress_bar import progress_bar
 from shift3d.scenes.sets import place_of
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.suite.choosing import Choice, Chosen, choose_solutions
 from shift3d.suite.frozen import BOX, FrozenSuite, background_file, blake2b, manifest_bytes, read_manifest, read_suite
 from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from shift3d.scenes.scene import Scene
     from shift3d.sweep.planning.plan import Plan
+    from shift3d.sweep.planning.tasks import PlannedTask
     from shift3d.task.spec import TaskSpec
 
 Frames = Literal["copied", "referenced"]
@@ -186,7 +188,8 @@ def _objects(
 
 @dataclass
 class _Freezing:
-    """Freezes scene after scene. reported: scores by task, method and replicate. largest: difference from these."""
+    """Freezes scene after scene. reported: scores by task, method and replicate. largest: difference from these. held:
+    assets by their number in the plan. seen: rows and scores of controls, which several tasks of a scene share."""
 
     plan: Plan
     writing: _Writing
@@ -194,6 +197,7 @@ class _Freezing:
     controls: pd.DataFrame
     largest: float | None = None
     held: dict[int, Assets] = field(default_factory=dict)
+    seen: dict[tuple[object, ...], tuple[dict[str, Any], float]] = field(default_factory=dict)
 
     def scene(self, name: str, hard: pd.DataFrame) -> list[dict[str, Any]]:
         """Rows of the objects of one scene: from its file where there is one, which is written otherwise."""
@@ -225,13 +229,24 @@ class _Freezing:
         controls = self.controls[self.controls["task_id"] == hard["task_id"]].to_dict("records")
         rows = []
         for role, solution in (*(("control", row) for row in controls), ("hard", hard)):
-            row, score = _object(task.spec, solution, self.held[task.assets], self.writing)
+            row, score = self._object(task, solution, role == "control")
             off = abs(score - self.reported[solution["task_id"], solution["method"], solution["replicate"]])
             same = off <= SCORE_TOLERANCE
             rows.append({**row, "role": role if same else _LEFT_OUT, "control": control, "frames": number})
             if same:
                 self.largest, control = max(self.largest or 0.0, off), row["object_id"]
         return rows
+
+    def _object(self, task: PlannedTask, solution: Mapping[str, Any], shared: bool) -> tuple[dict[str, Any], float]:
+        """See `_object`. shared: the object of another task that has the same baseline, to the bit, is this one's."""
+        if not shared:
+            return _object(task.spec, solution, self.held[task.assets], self.writing)
+        shape, pose = np.asarray(solution["latent_code"]).tobytes(), tuple(solution[name] for name in POSE_COLUMNS)
+        key = (task.assets, task.spec.baseline.task_id, shape, pose)
+        if key not in self.seen:
+            self.seen[key] = _object(task.spec, solution, self.held[task.assets], self.writing)
+        row, score = self.seen[key]
+        return row | {"task_id": task.spec.task_id, "mode": task.spec.mode}, score
 
 
 def _object(

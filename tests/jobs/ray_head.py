@@ -66,6 +66,7 @@ def ray_head(
     }
     command = [python, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--port=0", "--num-cpus=8"]
     command += ["--node-ip-address=127.0.0.1", f"--temp-dir={folder}", "--object-store-memory=100000000"]
+    command += ["--no-monitor", "--include-log-monitor=false"]  # of an autoscaler and for drivers that want logs
     # The dashboard serves the Jobs API.
     command += [f"--include-dashboard={'true' if dashboard_port else 'false'}", "--dashboard-host=127.0.0.1"]
     command += [f"--dashboard-port={dashboard_port}"] if dashboard_port else []

@@ -78,8 +78,7 @@ def opened(browser: Browser, file: Path, width: int = 1280, scheme: str = "light
     return page, words
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (400, "dark")])
 def test_every_figure_is_drawn_and_the_page_fits(browser: Browser, report: Path, width: int, scheme: str) -> None:
     page, words = opened(browser, report, width, scheme)
     assert words == []

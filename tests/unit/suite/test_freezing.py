@@ -112,8 +112,13 @@ def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_
     assert tree(tmp_path / "killed") == tree(tmp_path / "whole")
 
 
-def test_referenced_frames_are_made_again_and_must_be_the_same(frozen: Frozen, sweep: Path, tmp_path: Path) -> None:
+def test_referenced_frames_are_made_again_and_must_be_the_same(
+    frozen: Frozen, sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scored: list[object] = []
+    monkeypatch.setattr(freezing, "score_box", lambda *words: (scored.append(words), score_box(*words))[1])
     suite = freeze_suite(sweep, tmp_path, Choice(), "referenced").suite
+    assert len(scored) == len(suite.objects) == 3, "the control of both tasks is scored once"
     assert not (tmp_path / "backgrounds").exists()
     name = suite.objects["background"].iloc[0]
     assert np.array_equal(suite.background(name), frozen.suite.background(name))

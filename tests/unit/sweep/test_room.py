@@ -120,7 +120,6 @@ def test_a_private_ray_has_the_cpus_that_this_process_may_use(monkeypatch: pytes
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     monkeypatch.setattr(os, "environ", dict(os.environ))
     monkeypatch.setattr(connection, "require_token", lambda private: True)
-    monkeypatch.setattr(connection, "_end_idle_helpers", lambda ray: None)
     monkeypatch.setattr(ray, "init", lambda **options: found.append(options["num_cpus"]))
     connection.connect(config(), tasks_left=100)
     connection.connect(config("runner.workers=3"), tasks_left=100)

@@ -60,7 +60,7 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
             ray.init(address=config.address, **quiet)
         else:
             workers = min(config.workers_on(usable_cpus()), max(tasks_left, 1))
-            with _on_loopback(), _agent_on_any_port(), _deaf_to_sigterm():
+            with _on_loopback(), _what_a_sweep_needs(), _deaf_to_sigterm():
                 ray.init(
                     address="local",
                     num_cpus=max(1, math.ceil(workers * config.cpus_per_worker)),
@@ -70,7 +70,6 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
                     _system_config=_UNCOUNTED,
                     **quiet,
                 )
-            _end_idle_helpers(ray)
     except ray.exceptions.AuthenticationError as error:
         remedy = "Copy the token from there, or name its file in RAY_AUTH_TOKEN_PATH"
         raise InputError("this Ray asks for a token, and ours is none or another one", where, remedy) from error
@@ -78,15 +77,6 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
         message = " ".join(str(error).split())[:300]
         raise InputError(f"Ray did not start: {message}", where, "Check the address, or use runner=local") from error
     return ray
-
-
-def _end_idle_helpers(ray: Any) -> None:
-    """End what a private Ray starts and nobody here uses: each wakes 20 to 30 times a second, beside workers that have
-    every core. They are the reader of logs for a driver that wants none, the autoscaler's monitor, and the server of a
-    dashboard that is off."""
-    node = ray._private.worker.global_worker.node
-    for end in (node.kill_log_monitor, node.kill_monitor, node.kill_dashboard):
-        end(check_alive=False)
 
 
 def _check_token(address: str) -> None:
@@ -119,20 +109,27 @@ def _deaf_to_sigterm() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _agent_on_any_port() -> Iterator[None]:
-    """Keep the agent of a Ray that is about to start off port 52365, for which ``ray.init`` has no word.
+def _what_a_sweep_needs() -> Iterator[None]:
+    """Keep a Ray that is about to start from starting what no sweep uses, for which ``ray.init`` has no word.
 
-    A cluster's head on this machine wants that port, and takes no jobs without it.
+    That is the reader of logs for a driver that wants none, the autoscaler's monitor, and the server of a dashboard
+    that is off. Each takes half a second to start, and ``ray.init`` waits for the last; then each wakes 20 to 30 times
+    a second, beside workers that have every core.
+
+    The agent, without which no node starts, is kept off port 52365: a cluster's head on this machine wants that port,
+    and takes no jobs without it.
     """
+    from ray._private.node import Node
     from ray._private.parameter import RayParams
 
-    before = RayParams.__init__
-    on_any = functools.partialmethod(before, dashboard_agent_listen_port=0)
-    RayParams.__init__ = on_any  # type: ignore[assignment, method-assign]
+    before, server = RayParams.__init__, Node.start_api_server
+    needed = {"dashboard_agent_listen_port": 0, "include_log_monitor": False, "no_monitor": True}
+    RayParams.__init__ = functools.partialmethod(before, **needed)  # type: ignore[assignment, method-assign]
+    Node.start_api_server = lambda *_, **__: None  # type: ignore[method-assign]
     try:
         yield
     finally:
-        RayParams.__init__ = before  # type: ignore[method-assign]
+        RayParams.__init__, Node.start_api_server = before, server  # type: ignore[method-assign]
 
 
 @contextlib.contextmanager
