@@ -73,6 +73,10 @@ def test_the_hash_of_a_gltf_is_that_of_the_files_it_names_too(tmp_path: Path) ->
     for text in ("{", '{"buffers": [{"uri": "/dev/zero"}]}', '{"buffers": [{"uri": "."}]}', '{"buffers": 3}'):
         (tmp_path / "model.gltf").write_text(text)
         assert len(find_meshes(tmp_path)[0].sha256()) == 64
+    (model,) = find_meshes(tmp_path)
+    (tmp_path / "model.gltf").unlink()
+    with pytest.raises(InputError, match=r"model\.gltf: cannot be read"):
+        model.sha256()
 
 
 @pytest.mark.parametrize("word", ["null", "true", "NaN"])
