@@ -247,7 +247,7 @@ class StreetScenes:
         return self.sensor if self.sensor != "mixed" else ("hdl64", "waymo_top")[index % 2]
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=4)
 def _made(split: str, seed: int, index: int, sensor: str, options: StreetOptions) -> Scene:
     """A street, validated. It takes half a second to make and 4 MB to keep, and a command may come to one several
     times: in its plan, its tasks, and what follows them."""

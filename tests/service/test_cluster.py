@@ -46,9 +46,7 @@ def cluster(machines: Path) -> Iterator[Cluster]:
 
 
 def node() -> dict[str, object]:
-    """Without the helpers that nobody here uses: the autoscaler's, and the reader of logs."""
-    helpers = {"include_dashboard": False, "no_monitor": True, "include_log_monitor": False}
-    return {"num_cpus": 1, "object_store_memory": 80 * MEGABYTES, **helpers}
+    return {"num_cpus": 1, "object_store_memory": 80 * MEGABYTES, "include_dashboard": False}
 
 
 def workers_at_the_gate(folder: Path, workers: int) -> set[str]:

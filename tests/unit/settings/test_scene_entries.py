@@ -67,7 +67,7 @@ def test_no_more_scenes_are_in_memory_at_once_than_this_process_has_cpus(monkeyp
         return scene
 
     monkeypatch.setattr(StreetScenes, "load", timed)
-    scene_entries(StreetScenes("hdl64", count=2))
+    scene_entries(StreetScenes("hdl64", seed=7, count=2))  # that no test has made
     first, second = sorted(spans)
     assert first[1] <= second[0]
 
