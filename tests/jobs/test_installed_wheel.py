@@ -76,6 +76,7 @@ def test_a_sweep_of_ones_own_in_an_empty_folder(python: Path, tmp_path: Path) ->
     where = [str(python), "-c", "import shift3d; print(shift3d.__file__)"]
     found = subprocess.run(where, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True).stdout
     assert Path(found.strip()).is_relative_to(python.parents[1])
+    assert "sweep smoke: 4 tasks" in run(python, tmp_path, "sweep", "plan", "smoke")
     assert run(python, tmp_path, "jobs", "kuberay") == (REPOSITORY / "jobs" / "kuberay.yaml").read_text()
     completion = {"_ARGCOMPLETE": "1", "COMP_LINE": "shift3d sweep smoke vehicle=su", "_ARGCOMPLETE_IFS": "\n"}
     completion |= {"COMP_POINT": "30", "_ARGCOMPLETE_COMP_WORDBREAKS": " ", "_ARGCOMPLETE_STDOUT_FILENAME": "answer"}
