@@ -24,7 +24,7 @@ Finds the latent code that draws each mesh best, with the shipped decoder or dec
 set to out=: vehicles.safetensors, its decoder sdf.safetensors, sdf.json (what was repaired, and how many
 centimetres each code is off) and pictures/, each mesh beside what the decoder makes of it. Warns where another
 orientation of the mesh fits better, and where a vehicle is far from its mesh (exit code 3). The same command again
-resumes: out=/kept holds every mesh that is fitted, and vehicles.safetensors is written last."""
+resumes: DIR/kept holds every mesh that is fitted, and vehicles.safetensors is written last."""
 
 _EPILOG = f"""\
 examples:
