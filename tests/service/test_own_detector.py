@@ -16,7 +16,7 @@ from shift3d.cli.main import main
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 GUIDE = (REPOSITORY / "docs" / "guides" / "detectors.md").read_text()
-FEW = ("vehicle=suv", "attack.steps=1", "attack.noise_replicates=0", "naturalness=none")
+FEW = ("vehicle=suv", "attack.steps=1", "attack.noise_replicates=0")
 """What the command is cut by: its words come last."""
 
 

@@ -106,7 +106,7 @@ def test_what_is_not_there_is_said(text: str) -> None:
 
 
 def test_a_folder_that_is_no_finished_sweep_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(InputError, match=r"no spec\.yaml.*Check the path") as caught:
+    with pytest.raises(InputError, match=r"it does not exist, or is empty.*Check the path") as caught:
         write_report(tmp_path)
     assert str(tmp_path) in str(caught.value)
     begun = tmp_path / "begun"

@@ -47,6 +47,6 @@ def test_the_sweep_is_left_to_go_on(client: type[TunnelLost], monkeypatch: pytes
     monkeypatch.setenv("RAY_AUTH_TOKEN", "0" * 64)
     monkeypatch.setattr(job, "_submit", lambda *_: (client(), "raysubmit_1"))
     with pytest.raises(
-        InputError, match=r"raysubmit_1 cannot be followed any more .*The sweep goes on\. Follow it: ray job"
+        InputError, match=r"raysubmit_1 cannot be followed any more .*Follow the sweep, which goes on: ray job"
     ):
         job.submit_sweep(["smoke", "out=/shared/x"], "http://127.0.0.1:1", None)

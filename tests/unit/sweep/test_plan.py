@@ -196,7 +196,7 @@ def test_every_value_of_an_axis_is_checked_against_the_detector() -> None:
 
 
 def test_damaged_folders_are_named(out: Path, suv_plan: Plan) -> None:
-    with pytest.raises(InputError, match=r"it has no spec\.yaml"):
+    with pytest.raises(InputError, match="it does not exist, or is empty"):
         read_plan(out)
     open_folder(out, suv_plan)
     (out / "plan.parquet").write_bytes(b"PAR1")

@@ -178,4 +178,4 @@ def test_a_missing_package_is_named_with_its_extra(tmp_path: Path) -> None:
         f"load_onnx(pathlib.Path({str(write_model(tmp_path / 'mine.onnx'))!r}))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "the package onnxruntime is not installed. pip install 'shift3d[onnx]'" in done.stderr
+    assert "the package onnxruntime is not installed. Run pip install 'shift3d[onnx]'" in done.stderr
