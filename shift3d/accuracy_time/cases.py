@@ -77,6 +77,6 @@ def problem_of(
     if code is not None and not torch.equal(code := code.to(problem.code0.dtype), problem.code0):
         space = problem.space
         if space is not None:
-            space = SdfGrid.of(problem.field_of(code), problem.vehicle, problem.settings)
+            space = SdfGrid.of(problem.field_of(code.detach()), problem.vehicle, problem.settings)
         problem = dataclasses.replace(problem, code0=code, space=space)
     return problem
