@@ -7,31 +7,41 @@ from torch import Tensor
 
 from shift3d.processor import has_fast_bfloat16, has_wide_float32, pad_to_bucket
 
+_LEAST_ROWS = 16
+
 
 def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     """Rows x (N, in) times weight (out, in) transposed, plus bias (out,): (N, out).
 
     float32 on CPU goes to oneDNN where that is the faster (`processor`), anything else, and whatever gradients are
-    asked of, to torch. The two differ by roundings; either gives a row the same value whatever rows stand beside it,
-    but for MKL with less than a handful of them. Differentiable.
+    asked of, to torch. They differ by roundings. Where no gradient is asked for, either gives a row the same value
+    whatever rows stand beside it, MKL from 16 rows on: see `padded_to_bucket`. Differentiable.
     """
     plain = x.dtype == torch.float32 and x.device.type == "cpu" and type(x) is Tensor
-    if plain and has_wide_float32() and not _is_differentiated(x, weight, bias):
-        # Its own ReLU would turn NaN into 0: activations are left to torch.
-        result: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
-        return result
+    if plain and not _is_differentiated(x, weight, bias):
+        if has_wide_float32():
+            # Its own ReLU would turn NaN into 0: activations are left to torch.
+            result: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
+            return result
+        if len(weight) == 1:  # MKL adds up a single column in an order that depends on the number of rows
+            column = (x * weight).sum(1, keepdim=True)
+            return column if bias is None else column + bias
     return x @ weight.T if bias is None else torch.addmm(bias, x, weight.T)
 
 
 def padded_to_bucket(x: Tensor, *parts: Tensor) -> Tensor:
-    """Points x (N, 3) with rows of zeros behind them, up to a number that comes round again: see `pad_to_bucket`.
+    """Points x (N, 3) with rows of zeros behind them: so many that no value depends on how many points there are.
 
-    The same tensor where oneDNN is not asked, or a gradient of the point or the parts is wanted.
+    For oneDNN up to a number that comes round again, see `pad_to_bucket`; for MKL up to 16. The same tensor in float64,
+    without points, and where a gradient of the point or the parts is wanted.
     """
-    supported = (x.dtype == torch.bfloat16 and has_fast_bfloat16()) or (x.dtype == torch.float32 and has_wide_float32())
-    if not supported or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
+    narrow = x.dtype == torch.float32 or (x.dtype == torch.bfloat16 and has_fast_bfloat16())
+    if not narrow or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
         return x
-    return torch.nn.functional.pad(x, (0, 0, 0, pad_to_bucket(len(x)) - len(x)))
+    rows = len(x)
+    onednn = x.dtype == torch.bfloat16 or has_wide_float32()
+    wanted = pad_to_bucket(rows) if onednn or not rows else max(rows, _LEAST_ROWS)
+    return torch.nn.functional.pad(x, (0, 0, 0, wanted - rows))
 
 
 def _is_differentiated(*parts: Tensor | None) -> bool:

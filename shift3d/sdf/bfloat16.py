@@ -14,6 +14,7 @@ from torch import Tensor
 
 from shift3d.processor import has_fast_bfloat16, pad_to_bucket
 from shift3d.sdf.field import Field as DecoderField
+from shift3d.sdf.field import units_on
 
 
 class Bfloat16Field:
@@ -41,7 +42,7 @@ class Bfloat16Field:
     @staticmethod
     def _note(units: Tensor, live: list[Tensor] | None) -> None:
         if live is not None:
-            live.append((units != 0).any(0))
+            live.append(units_on(units))
 
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None) -> Tensor:
         # In round batches: this is only there where oneDNN takes the products.

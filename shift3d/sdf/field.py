@@ -67,7 +67,7 @@ class Field:
                 break
             hidden = torch.relu(hidden) if live is None else hidden.relu_()
             if live is not None:
-                live.append((hidden[: len(x_sdf)] != 0).any(0))  # a NaN is on
+                live.append(units_on(hidden[: len(x_sdf)]))
         return torch.tanh(hidden[: len(x_sdf), 0])
 
     def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
@@ -138,6 +138,11 @@ class Field:
     def detach(self) -> Field:
         """The same field without the graph back to z."""
         return Field([w.detach() for w in self.weights], [b.detach() for b in self.biases], self.skip_layer)
+
+
+def units_on(hidden: Tensor) -> Tensor:
+    """(width,) bool: which units are on in one of the rows (N, width) behind a rectifier. A NaN is on."""
+    return hidden.amax(0) != 0 if len(hidden) else hidden.new_zeros(hidden.shape[1], dtype=torch.bool)
 
 
 _UNITS = 32

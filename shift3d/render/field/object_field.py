@@ -87,6 +87,7 @@ class ObjectField:
     rough: Bfloat16Field | None = None
     bfloat16_band_m: float = 0.0
     count: EvaluationCount = dataclasses.field(default_factory=EvaluationCount)
+    slices: dict[int, tuple[LiveUnits, ObjectField]] = dataclasses.field(default_factory=dict)
 
     @staticmethod
     def of(
@@ -153,11 +154,17 @@ class ObjectField:
         return torch.cat([g for g, _ in parts]) * self.scale_m, live
 
     def sliced(self, live: LiveUnits) -> ObjectField:
-        """The same field without the hidden units that are not live, counted together; itself where none is known."""
+        """The same field without the hidden units that are not live, counted together; itself where none is known.
+
+        A rendering asks several times for the same units: each slice is made once.
+        """
         if live is None or not isinstance(self.sdf, DecoderField):
             return self
-        sdf = self.sdf.sliced(live)
-        return dataclasses.replace(self, sdf=sdf, rough=None if self.rough is None else bfloat16_copy(sdf, self.dtype))
+        if id(live) not in self.slices:
+            sdf = self.sdf.sliced(live)
+            rough = None if self.rough is None else bfloat16_copy(sdf, self.dtype)
+            self.slices[id(live)] = live, dataclasses.replace(self, sdf=sdf, rough=rough, slices={})
+        return self.slices[id(live)][1]
 
     def float32_copy(self) -> ObjectField | None:
         """The same field evaluated in float32, counted together; None for fields that are no decoder's.
@@ -168,7 +175,7 @@ class ObjectField:
             return None
         weights, biases = ([part.float() for part in parts] for parts in (self.sdf.weights, self.sdf.biases))
         copy = DecoderField(weights, biases, self.sdf.skip_layer)
-        return dataclasses.replace(self, sdf=copy, dtype=torch.float32)
+        return dataclasses.replace(self, sdf=copy, dtype=torch.float32, slices={})
 
     def piecewise_linear(self) -> bool:
         """Whether the field can tell its linear regions along a beam."""

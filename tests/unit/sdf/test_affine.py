@@ -55,12 +55,22 @@ def test_gradients_are_torchs_own() -> None:
     assert all(torch.equal(a, b) for a, b in zip(found, wanted, strict=True))
 
 
-@pytest.mark.skipif(not has_wide_float32(), reason="this processor leaves float32 to torch's default")
-def test_a_row_is_the_same_whatever_stands_beside_it() -> None:
-    x, weight, bias = parts(600, 512, 512)
+@pytest.mark.skipif(
+    not torch.backends.cpu.get_cpu_capability().startswith("AVX512"), reason="MKL's shorter vectors were not looked at"
+)
+@pytest.mark.parametrize(("inputs", "outputs"), [(3, 512), (512, 512), (512, 253), (512, 1)])
+def test_a_row_is_the_same_whatever_stands_beside_it(inputs: int, outputs: int) -> None:
+    x, weight, bias = parts(600, inputs, outputs)
     whole = affine(x, weight, bias)
-    for rows in (7, 64, 599):
-        assert torch.equal(affine(x[:rows].contiguous(), weight, bias), whole[:rows])
+    for rows in (16, 17, 64, 599):
+        for start in (0, 1):
+            part = slice(start, start + rows)
+            assert torch.equal(affine(x[part].clone(), weight, bias), whole[part])
+
+
+@pytest.mark.usefixtures("wide")
+def test_few_points_are_filled_up_to_16() -> None:
+    assert [len(padded_to_bucket(torch.ones(rows, 3))) for rows in (0, 1, 16)] == [0, 16, 16]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
