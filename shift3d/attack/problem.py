@@ -83,7 +83,8 @@ class AttackProblem:
 
     def metric(self, code: Tensor) -> ObjectField:
         """The object's metric field for a code."""
-        return ObjectField.of(self.field_of(code), self.vehicle, self.settings.dtype, self.settings.batch)
+        s = self.settings
+        return ObjectField.of(self.field_of(code), self.vehicle, s.dtype, s.batch, s.bfloat16_band_m)
 
     @property
     def limits(self) -> Constraints:

@@ -76,13 +76,11 @@ def points_near(beams: Beams, theta: Tensor, radius_m: float) -> Tensor:
     return beams.points[near].double()
 
 
-def distances(
-    field: ObjectField, points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3, box: Box | None = None
-) -> tuple[Tensor, Tensor]:
-    """Metric distances (M',) of the points near the object, and their places (M', 3), object frame.
+def places_near(points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3, box: Box | None = None) -> Tensor:
+    """(M', 3) places of the points near the object, object frame.
 
     Args:
-        field: metric distance in the object frame. points: (M, 3) float64, scene frame. theta: (6,) pose.
+        points: (M, 3) float64, scene frame. theta: (6,) pose.
         size_m: (3,) size of the baseline's box. reach_m: how far from it points count.
         box: that holds the object, where it is known: points near it count as well. A shape under attack may outgrow
             its baseline's box.
@@ -92,8 +90,7 @@ def distances(
     if box is not None:
         around = box.grown(reach_m / 3)
         near |= ((x_object >= around.lower) & (x_object <= around.upper)).all(-1)
-    with torch.no_grad():
-        return field(x_object[near]).double(), x_object[near]
+    return x_object[near]
 
 
 def check(
@@ -109,14 +106,17 @@ def check(
     """Hold one object against the limits.
 
     Args:
-        points: ORIGINAL returns near the object. field, theta, size_m, box: see `distances`.
+        field: metric distance in the object frame. points: ORIGINAL returns near the object.
+        theta, size_m, box: see `places_near`.
         object_points: returns on the object after rendering.
         others: (M, 2) centres of other vehicles, scene frame, metres.
 
     Contact is asked of points under the object alone: below its centre, within its baseline's length and width. A wall
     or a kerb beside it carries nothing.
     """
-    metric, places = distances(field, points, theta, size_m, box=box)
+    places = places_near(points, theta, size_m, box=box)
+    with torch.no_grad():
+        metric = field(places).double()
     deepest = float(metric.min()) if len(metric) else float("inf")
     under = (places[:, :2].abs() <= size_m[:2] / 2).all(-1) & (places[:, 2] <= 0.0)
     nearest = float(metric[under].abs().min()) if bool(under.any()) else float("inf")
@@ -151,9 +151,11 @@ def snap_to_ground(
     """
     snapped = theta.detach().double().clone()
     for _ in range(_LOOKS):
-        metric, places = distances(field, points, snapped, size_m, reach_m)
-        if len(metric) == 0:
+        places = places_near(points, snapped, size_m, reach_m)
+        if len(places) == 0:
             return None
+        with torch.no_grad():
+            metric = field.estimate(places).double()  # exact where it decides
         if abs(float(metric.min())) <= _TOUCHING_M:
             return snapped
         few = scene_from_object(places[metric.argsort(stable=True)[:_FEW]], snapped)

@@ -61,7 +61,10 @@ def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Verifie
 
 
 def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tensor]:
-    """Centres (P, 3) of the cells outside a box that were looked at, and g (P,) there: an octree of three levels."""
+    """Centres (P, 3) of the cells outside a box that were looked at, and g (P,) there.
+
+    An octree of three levels, or of those up to the first at which something lies inside the object.
+    """
     centre, radius = (ball.lower + ball.upper) / 2, (ball.upper - ball.lower)[0] / 2
     axes = [
         torch.arange(float(a), float(b) + _CELL_M, _CELL_M, dtype=torch.float64) for a, b in zip(ball.lower, ball.upper)
@@ -76,6 +79,8 @@ def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tens
         points = torch.where(on_face, _onto_faces(points, box), points)
         g = field.estimate(points).double()
         found.append((points, g))
+        if bool((~(g > 0)).any()):
+            break  # the box grows, and all is looked at anew
         near = ~(g > _STEEPEST * size_m * 3**0.5 / 2) & (g > 0)
         octants = torch.cartesian_prod(*[torch.tensor([-0.25, 0.25], dtype=torch.float64)] * 3) * size_m
         points, size_m = (points[near][:, None] + octants).reshape(-1, 3), size_m / 2

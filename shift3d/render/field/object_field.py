@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -84,7 +85,6 @@ class ObjectField:
     sdf_t_object: Tensor
     dtype: torch.dtype
     batch: int
-    rough: Bfloat16Field | None = None
     bfloat16_band_m: float = 0.0
     count: EvaluationCount = dataclasses.field(default_factory=EvaluationCount)
     slices: dict[int, tuple[LiveUnits, ObjectField]] = dataclasses.field(default_factory=dict)
@@ -104,9 +104,13 @@ class ObjectField:
             torch.as_tensor(np.asarray(vehicle.sdf_t_object, dtype=np.float64)),
             dtype,
             batch,
-            bfloat16_copy(sdf, dtype) if bfloat16_band_m > 0 else None,
             bfloat16_band_m,
         )
+
+    @cached_property
+    def rough(self) -> Bfloat16Field | None:
+        """The field in bfloat16, where it may be used and is fast."""
+        return bfloat16_copy(self.sdf, self.dtype) if self.bfloat16_band_m > 0 else None
 
     def __call__(self, x_object: Tensor) -> Tensor:
         x_sdf = self.to_sdf(x_object)
@@ -161,9 +165,7 @@ class ObjectField:
         if live is None or not isinstance(self.sdf, DecoderField):
             return self
         if id(live) not in self.slices:
-            sdf = self.sdf.sliced(live)
-            rough = None if self.rough is None else bfloat16_copy(sdf, self.dtype)
-            self.slices[id(live)] = live, dataclasses.replace(self, sdf=sdf, rough=rough, slices={})
+            self.slices[id(live)] = live, dataclasses.replace(self, sdf=self.sdf.sliced(live), slices={})
         return self.slices[id(live)][1]
 
     def float32_copy(self) -> ObjectField | None:
