@@ -47,7 +47,7 @@ class Bfloat16Field:
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None) -> Tensor:
         # In round batches: this is only there where oneDNN takes the products.
         x = torch.nn.functional.pad(x_sdf.float(), (0, 0, 0, pad_to_bucket(len(x_sdf)) - len(x_sdf)))
-        hidden = torch.relu(torch.addmm(self.biases[0], x, self.first)).to(torch.bfloat16)
+        hidden = torch.addmm(self.biases[0], x, self.first).relu_().to(torch.bfloat16)
         self._note(hidden[: len(x_sdf)], live)
         for layer in range(1, len(self.wide) - 1):
             if layer == self.skip:
@@ -55,7 +55,7 @@ class Bfloat16Field:
                 hidden = torch.addmm(entry, hidden, self.wide[layer])
             else:
                 hidden = torch.addmm(self.wide_biases[layer], hidden, self.wide[layer])
-            hidden = torch.relu(hidden)
+            hidden = hidden.relu_()
             self._note(hidden[: len(x_sdf)], live)
         return torch.tanh(torch.addmm(self.biases[-1], hidden.float(), self.last)[: len(x_sdf), 0])
 

@@ -65,7 +65,7 @@ class Field:
             hidden = affine(hidden, weight, bias)
             if layer == len(self.weights) - 1:
                 break
-            hidden = torch.relu(hidden) if live is None else hidden.relu_()
+            hidden = hidden.relu_()
             if live is not None:
                 live.append(units_on(hidden[: len(x_sdf)]))
         return torch.tanh(hidden[: len(x_sdf), 0])
