@@ -38,17 +38,18 @@ class MeshFile:
 
         Raises: InputError: it cannot be read.
         """
-        try:
-            content = self.path.read_bytes()
-        except OSError as error:
-            raise InputError(
-                f"cannot be read ({error.strerror})", where=str(self.path), remedy="Give a mesh"
-            ) from error
-        digest = hashlib.sha256(content)
+        digest = hashlib.sha256(content := _content(self.path))
         for part in _files_beside(content) if self.path.suffix.lower() == ".gltf" else ():
             if (file := self.path.parent / part).is_file():  # reading the mesh says what is missing
-                digest.update(file.read_bytes())
+                digest.update(_content(file))
         return digest.hexdigest()
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Give a mesh") from error
 
 
 def _files_beside(gltf: bytes) -> list[str]:

@@ -18,7 +18,6 @@ ENTRIES = {entry.name: entry for entry in plan.read_plan()}
 RECORDS = sorted(path.stem for path in record.MEASURED.glob("*.json"))
 UNMEASURED = yaml.safe_load((ROOT / "docs" / "scripts" / "evidence" / "unmeasured.yaml").read_text(encoding="utf-8"))
 TO_BE_MEASURED = 5  # the list may shrink; lower this with it
-BY_HAND = {"comparator", "recorded_attacks"}  # measured with code that is not in the repository
 
 
 @pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -121,7 +120,7 @@ def test_a_record_is_true_to_history(name: str) -> None:
     record.git("merge-base", "--is-ancestor", commit, "HEAD")  # raises where it is none
     if measured["commit"]:
         assert measured["digest"] == record.digest(measured["files"], commit)
-    assert name in ENTRIES.keys() | BY_HAND and str(Path.home()) not in str(measured["command"])
+    assert name in ENTRIES and str(Path.home()) not in str(measured["command"])
 
 
 @pytest.mark.parametrize("name", RECORDS)

@@ -5,6 +5,8 @@ import pytest
 import torch
 from analytic_fields import Frame, sector_scan
 
+from shift3d.geometry.se3 import object_from_scene
+from shift3d.placement.constraints import snap_to_ground
 from shift3d.render import Beams, preset, render
 from shift3d.render.field.object_field import ObjectField
 from shift3d.sdf.bfloat16 import bfloat16_copy
@@ -82,3 +84,20 @@ def test_only_float32_decoders_have_a_bfloat16_copy() -> None:
     assert bfloat16_copy(field, torch.float64) is None
     assert bfloat16_copy(lambda x: x[:, 0], torch.float32) is None
     assert np.isfinite(preset("reference").bfloat16_band_m) and preset("reference").bfloat16_band_m == 0.0
+
+
+@needs_bfloat16
+@pytest.mark.parametrize("start_m", [-0.1, 0.15])
+def test_it_comes_to_stand_where_it_touches(shipped: tuple[Field, Frame], start_m: float) -> None:
+    field, frame = shipped
+    fine, coarse = (ObjectField.of(field, frame, torch.float32, 4096, bfloat16_band_m=band) for band in (0.0, 0.02))
+    size_m = torch.tensor(frame.size_m, dtype=torch.float64)
+    ground = torch.cartesian_prod(torch.linspace(-3, 3, 60), torch.linspace(-2, 2, 40)).double()
+    points = torch.cat((ground, torch.full((len(ground), 1), -1.73).double()), 1)
+    theta = torch.tensor([0.0, 0.0, -1.73 + float(size_m[2]) / 2 + start_m, 0.3, 0.0, 0.0], dtype=torch.float64)
+    found, exact = (snap_to_ground(metric, points, theta, size_m) for metric in (coarse, fine))
+    assert found is not None and exact is not None
+    assert coarse.count.coarse > 300
+    with torch.no_grad():
+        assert abs(float(fine(object_from_scene(points, found)).min())) <= 0.004
+    assert torch.allclose(found, exact, atol=1e-3)

@@ -74,6 +74,11 @@ def test_the_hash_of_a_gltf_is_that_of_the_files_it_names_too(tmp_path: Path) ->
         (tmp_path / "model.gltf").write_text(text)
         assert len(find_meshes(tmp_path)[0].sha256()) == 64
     (model,) = find_meshes(tmp_path)
+    if (cannot_be_read := Path("/proc/self/mem")).is_file():
+        (tmp_path / "model.gltf").write_text('{"buffers": [{"uri": "part.bin"}]}')
+        (tmp_path / "part.bin").symlink_to(cannot_be_read)
+        with pytest.raises(InputError, match=r"part\.bin: cannot be read"):
+            model.sha256()
     (tmp_path / "model.gltf").unlink()
     with pytest.raises(InputError, match=r"model\.gltf: cannot be read"):
         model.sha256()
