@@ -1,4 +1,4 @@
-"""Renderings of recorded attacks and whole tasks, by this version and by an earlier one, in turns on one machine.
+"""Renderings of recorded attacks and whole tasks, by the working tree and by an earlier commit, in turns on one machine.
 
 ``python docs/scripts/comparator.py COMMIT [steps=12] [turns=2] [tasks=true] [json=FILE]``
 
@@ -52,7 +52,7 @@ class Frame:
 
 
 def record(folder: Path, steps: int) -> None:
-    """Attacks of this version: a file each, of the beams, the vehicle, every code and pose, and the true hits."""
+    """Attacks of the working tree: a file each, of the beams, the vehicle, every code and pose, and the true hits."""
     from recorded_attacks import Watched
 
     from shift3d.placement.sampling import NoPlacement

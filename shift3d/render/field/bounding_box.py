@@ -80,7 +80,7 @@ def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tens
         g = field.estimate(points).double()
         found.append((points, g))
         if bool((~(g > 0)).any()):
-            break  # the box grows, and all is looked at anew
+            break  # the box grows, and all is looked at again
         near = ~(g > _STEEPEST * size_m * 3**0.5 / 2) & (g > 0)
         octants = torch.cartesian_prod(*[torch.tensor([-0.25, 0.25], dtype=torch.float64)] * 3) * size_m
         points, size_m = (points[near][:, None] + octants).reshape(-1, 3), size_m / 2
