@@ -1,4 +1,4 @@
-"""Renderings of recorded attacks and whole tasks, by the working tree and by an earlier commit, in turns on one machine.
+"""Renderings of attacks and whole tasks, by the working tree and by an earlier commit, in turns on one machine.
 
 ``python docs/scripts/comparator.py COMMIT [steps=12] [turns=2] [tasks=true] [json=FILE]``
 
