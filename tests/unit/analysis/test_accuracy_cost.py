@@ -16,13 +16,15 @@ from shift3d.analysis.tables.accuracy.cost import (
 )
 from shift3d.analysis.tables.accuracy.frontier import legend
 from shift3d.store.frontier_table import frontier_table
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.store.tables import write_table
 
 
 def score(task: str, method: str, accuracy: str = "standard", **audit: Any) -> dict[str, Any]:
     names = ("audited_beams", "audited_hits", "missed_hits", "false_hits", "wrong_surface", "depth_error_max_m")
     row = {"task_id": task, "method": method, "replicate": 0, "accuracy": accuracy, "scored_by": "pointpillars"}
-    return {**row, **dict.fromkeys(names), **audit}
+    place = {"dataset": "street", "scene": task, "vehicle": "suv", "detector": "pointpillars", "effects": ["ray_drop"]}
+    return {**row, **place, **dict.fromkeys(POSE_COLUMNS, 0.0), **dict.fromkeys(names), **audit}
 
 
 def timing(task: str, stage: str, milliseconds: float) -> dict[str, Any]:
@@ -42,6 +44,19 @@ def test_audits_are_summed_each_object_once() -> None:
     (text,) = accuracy_cost(pd.DataFrame(rows), pd.DataFrame([timing("a", "total", 2000.0)]))
     assert "standard: 128 beams of 2 objects" in text
     assert "of 64 true hits 2 missed, 1 on another surface, 0 false; depth error at most 0.3 mm" in text
+
+
+def test_a_baseline_that_tasks_share_is_one_object() -> None:
+    """Tasks of a shape and of a pose search stand in one place: the unchanged vehicle was audited for the first."""
+    audited = {**CLEAN, "depth_error_max_m": 1e-4, "max_residual_m": 1e-6, "unresolved_beams": 1, "non_finite": 0}
+    audited |= {"grazing_gradient": None, "least_slope": None}
+    found = [score(task, method, **audited) for task in "ab" for method in ("adversarial", "baseline")]
+    same = pd.DataFrame(found).assign(scene="one")  # a shape search leaves the pose as it is
+    (text,) = accuracy_cost(same, pd.DataFrame([timing("a", "total", 2000.0)]))
+    assert "standard: 192 beams of 3 objects rendered again at reference accuracy: of 96 true hits" in text
+    assert "3 unresolved beams" in diagnostics(same) and "over 3 objects" in diagnostics(same)
+    elsewhere = same.assign(x_m=[0.0, 0.0, 1.0, 1.0])
+    assert "4 objects" in accuracy_cost(elsewhere, pd.DataFrame([timing("a", "total", 2000.0)]))[0]
 
 
 def test_time_is_that_of_the_presets_own_tasks() -> None:
@@ -91,9 +106,6 @@ def test_a_frontier_of_other_scenes_or_one_that_is_torn_counts_as_none(tmp_path:
 
 
 def test_non_finite_values_are_those_of_an_object_whoever_scores_it() -> None:
-    rows = [
-        {"task_id": "a", "method": "baseline", "replicate": 0, "scored_by": name, "non_finite": 5}
-        | {"max_residual_m": 1e-6, "unresolved_beams": 0, "grazing_gradient": None, "least_slope": 0.5}
-        for name in ("one", "two")
-    ]
+    numerics = {"max_residual_m": 1e-6, "unresolved_beams": 0, "grazing_gradient": None, "least_slope": 0.5}
+    rows = [score("a", "baseline", **numerics, non_finite=5) | {"scored_by": name} for name in ("one", "two")]
     assert "5 non-finite values" in diagnostics(pd.DataFrame(rows))

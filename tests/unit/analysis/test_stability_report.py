@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from shift3d.analysis.html.pages import write_stability_page
 from shift3d.analysis.tables.accuracy.cost import diagnostics
 from shift3d.analysis.tables.stability import stability_lines, stability_table
+from shift3d.store.schemas import POSE_COLUMNS
 
 
 def verification(unstable: int, stable: int) -> pd.DataFrame:
@@ -29,7 +31,13 @@ def verification(unstable: int, stable: int) -> pd.DataFrame:
 
 def scores(**columns: list[float | None]) -> pd.DataFrame:
     count = len(next(iter(columns.values())))
-    base = {"task_id": [str(i) for i in range(count)], "method": ["adversarial"] * count, "replicate": [0] * count}
+    base: dict[str, list[Any]] = {
+        "task_id": [str(i) for i in range(count)],
+        "method": ["adversarial"] * count,
+        "replicate": [0] * count,
+    }
+    base |= {name: ["same"] * count for name in ("dataset", "scene", "vehicle", "detector", "accuracy")}
+    base |= {"effects": [[]] * count, **{name: [0.0] * count for name in POSE_COLUMNS}}
     values = {"max_residual_m": [1e-6] * count, "unresolved_beams": [0] * count, "non_finite": [0] * count}
     return pd.DataFrame(base | values | {"least_slope": [0.1] * count, "grazing_gradient": [0.2] * count} | columns)
 

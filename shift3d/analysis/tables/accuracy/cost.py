@@ -11,12 +11,22 @@ from shift3d.analysis.tables.accuracy.frontier import meanings, settings_table
 from shift3d.analysis.tables.table import Table
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, read_frontier
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.wording import counted
+
+_BASELINE = ["method", "dataset", "scene", "vehicle", "detector", "accuracy", *POSE_COLUMNS]
+
+
+def _objects(scores: pd.DataFrame) -> pd.DataFrame:
+    """A row an object, whatever detectors score it. A baseline that tasks share is rendered and audited once."""
+    rows = scores.drop_duplicates(["task_id", "method", "replicate"])
+    shared = rows[_BASELINE].assign(effects=rows["effects"].map("+".join)).duplicated()
+    return rows[~(shared & rows["method"].eq("baseline"))]
 
 
 def diagnostics(scores: pd.DataFrame) -> str:
     """How a sweep stood numerically, from the columns of its rows; each object counted once."""
-    rows = scores[scores["max_residual_m"].notna()].drop_duplicates(["task_id", "method", "replicate"])
+    rows = _objects(scores[scores["max_residual_m"].notna()])
     if not len(rows):
         return "Numerics: no object was rendered."
     unresolved = int(rows["unresolved_beams"].sum())
@@ -27,7 +37,7 @@ def diagnostics(scores: pd.DataFrame) -> str:
     searched = rows[rows["method"] == "adversarial"]
     if searched["grazing_gradient"].notna().any():
         text += (
-            f"; smallest |e.grad g| {float(rows['least_slope'].min()):.2g}, grazing beams carry "
+            f"; smallest |e.grad g| {float(scores['least_slope'].min()):.2g}, grazing beams carry "
             f"{float(searched['grazing_gradient'].mean()):.0%} of the gradient"
         )
     return f"{text}."
@@ -83,7 +93,7 @@ def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame) -> list[str]:
 
 def _audited(rows: pd.DataFrame) -> str:
     """What the audits found, each object counted once."""
-    rows = rows[rows["audited_beams"].notna()].drop_duplicates(["task_id", "method", "replicate"])
+    rows = _objects(rows[rows["audited_beams"].notna()])
     if not len(rows):
         return "no beam was audited."
     beams, hits = int(rows["audited_beams"].sum()), int(rows["audited_hits"].sum())
