@@ -82,8 +82,12 @@ def _projected(search: Search, vector: np.ndarray) -> Tensor:
 
 
 def _ranked(records: list[StepRecord]) -> list[float]:
-    """The places of a generation's members, best first: valid ones by their loss, then the others by theirs."""
-    order = sorted(range(len(records)), key=lambda index: (not records[index].valid, records[index].loss, index))
+    """The places of a generation's members, best first: valid ones by their loss, then the others by theirs.
+
+    A loss that is no number, which would leave the others in no order, ranks as infinite.
+    """
+    loss = [math.inf if math.isnan(record.loss) else record.loss for record in records]
+    order = sorted(range(len(records)), key=lambda index: (not records[index].valid, loss[index], index))
     places = [0.0] * len(records)
     for place, index in enumerate(order):
         places[index] = float(place)

@@ -11,7 +11,7 @@ from torch import Tensor
 from shift3d.effects.base import Effect, EffectContext, FootprintStep, Insertion, Kind, Returns
 from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.physics.materials import albedo_of
-from shift3d.effects.physics.power import OBJECT_FAR_M
+from shift3d.effects.physics.power import OBJECT_FAR_M, OVERLAP_FROM_M
 from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
 from shift3d.render.beams import Beams
 from shift3d.render.implicit import cosine_of_incidence
@@ -31,11 +31,11 @@ class Divergence(Effect):
     """Beams whose cone crosses a silhouette, or touches the object that the axis misses, are looked at with 7 sub-rays.
 
     The axis and a hexagon about it, of equal weight, are cast by the same renderer. Each echo has the power
-    weight * albedo * cosine / range^2; a sub-ray past the object meets what the beam met before, at that range, head
-    on (that of a no-return beam nothing). Echoes within `PULSE_M` of the next one merge; the group of most power is the
-    return, at the mean range by power. Where at least half of that power is the object's, the point lies on the axis
-    at that range; else the row is the scene's again, its own point. Where all seven merge on the object, the cone lies
-    on one face, and the axis's hit stays.
+    weight * albedo * cosine / range^2, nearer than `OVERLAP_FROM_M` that of this range; a sub-ray past the object meets
+    what the beam met before, at that range, head on (that of a no-return beam nothing). Echoes within `PULSE_M` of the
+    next one merge; the group of most power is the return, at the mean range by power. Where at least half of that power
+    is the object's, the point lies on the axis at that range; else the row is the scene's again, its own point. Where
+    all seven merge on the object, the cone lies on one face, and the axis's hit stays.
 
     Of changed rows `cosine` is the mean by power, and `albedo` contains the share of the cone that is on the object:
     their product is what the object sends back.
@@ -94,7 +94,8 @@ class _Verdict:
         Args, each (C, 7), of the axis and six sub-rays:
             range_m: differentiable. light: weight * albedo * cosine. cosine: of incidence; 1 off the object.
         """
-        power = light / range_m.detach().square()
+        # On the sensor itself, where the receiver sees nothing, 1 / range^2 has no bound.
+        power = light / range_m.detach().clamp_min(OVERLAP_FROM_M).square()
         kept = strongest(range_m.detach(), power)
         ours = kept & on_object
         total, of_object = (power * kept).sum(1), (power * ours).sum(1)

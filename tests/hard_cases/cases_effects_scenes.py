@@ -191,6 +191,22 @@ def a_cone_past_the_object_with_nothing_behind() -> None:
 
 @hard_case(
     area=AREA,
+    why="its beams meet the surface at range 0, where an echo has infinite power, and infinite shares of it are NaN",
+    must="beams that graze the surface it stands on are on the object, within a centimetre, and nothing is NaN",
+    guard="power grows no further where the receiver sees nothing",
+)
+def a_sensor_on_the_surface_of_the_object() -> None:
+    inwards = np.linspace(2e-4, 2.5e-3, 40)
+    scene = scene_of(30.0 * np.stack((inwards, np.ones(40), np.zeros(40)), axis=1))
+    for gap in (0.0, 1e-12, 1e-9, 1e-8):
+        theta = torch.tensor([1.0 + gap, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+        rendering = drawn(scene, ["divergence"], theta, divergence_rad=3e-3)
+        assert (rendering.first_hits.range_m == 0.0).sum() > 30, "what makes it hard"
+        assert rendering.hit_mask.all() and (rendering.range_m.abs() < 0.01).all()
+
+
+@hard_case(
+    area=AREA,
     why="their echoes overlap, and the nearer alone is weaker than what lies far behind",
     must="they merge into one echo, which wins together",
     guard="echoes nearer to each other than a pulse add up",

@@ -15,7 +15,8 @@ from toy_detector import WaveDetector
 
 from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
-from shift3d.attack.shape import attack_shape
+from shift3d.attack.score_only import evolve
+from shift3d.attack.shape import attack_shape, shape_search
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.placement.constraints import Constraints
 from shift3d.render import Beams, preset
@@ -110,6 +111,35 @@ def a_loss_that_is_no_number() -> None:
         result = attack_shape(forgetful, 1.0, steps=steps)
         assert math.isnan(result.trace[1].loss) and result.trace[1].valid
         assert result.best_step == 0 and torch.equal(result.latent_code, CODE)
+
+
+class StumblingDetector(WaveDetector):
+    """Adds something to the logits of its fifth answer."""
+
+    def __init__(self, added: float) -> None:
+        super().__init__()
+        self.added, self.answers = added, 0
+
+    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
+        found = super().proposals(points, window)
+        self.answers += 1
+        return replace(found, logits=found.logits + self.added) if self.answers == 5 else found
+
+
+@hard_case(
+    area=AREA,
+    why="a NaN is neither less nor more than another loss: a generation sorted with one in it is in no order",
+    must="an evolution goes on as if that candidate had the highest loss of all",
+    guard="a loss that is no number ranks as infinite",
+)
+def one_loss_of_a_generation_that_is_no_number() -> None:
+    visited = []
+    for added in (math.nan, 1e3):
+        stumbling = replace(problem(), detector=StumblingDetector(added), _near=[])
+        result = evolve(stumbling, shape_search(stumbling, 0.0), 12, np.random.default_rng(0))
+        assert math.isfinite(result.trace[4].loss) == math.isfinite(added)
+        visited.append([record.latent_distance for record in result.trace])
+    assert visited[0] == visited[1] and len(set(visited[0])) == 13
 
 
 @hard_case(

@@ -163,7 +163,9 @@ def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
     """Mean over vehicles of their mean scores, and its BCa bootstrap, scenes with all their vehicles drawn together.
 
     rows: columns score, vehicle, place. A vehicle without a scene in a draw is left out of that draw's mean. Infinite
-    with a single place, a point where all places agree. Source: as `mean_interval`.
+    with a single place, a point where all places agree. Where the mean stays what it is whichever place is left out, as
+    where each vehicle has one score everywhere, BCa's acceleration is 0 / 0: the percentiles of the draws stand then.
+    Source: as `mean_interval`.
     """
     places, vehicles = (sorted(set(rows[name])) for name in ("place", "vehicle"))
     sums, counts = _sums(rows, places, vehicles)
@@ -178,6 +180,11 @@ def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
         return Interval(mean, -np.inf, np.inf)
     if np.ptp(_mean_of_means(sums, counts, axis=1)) <= 1e-12 * max(1.0, abs(mean)):
         return Interval(mean, mean, mean)
+    without_one = _mean_of_means(sums.sum(axis=0) - sums, counts.sum(axis=0) - counts, axis=1)
+    if np.ptp(without_one) <= 1e-12 * max(1.0, abs(mean)):
+        drawn = _vehicle_mean(_redrawn(len(places), _DRAWS, "flat jackknife", len(rows)), sums, counts)
+        low, high = np.quantile(drawn, _ENDS)
+        return Interval(mean, min(float(low), mean), max(float(high), mean))
     return _bca((*sums.T, *counts.T), statistic, mean, len(rows))
 
 

@@ -43,6 +43,21 @@ def test_vehicles_in_few_scenes_do_not_widen_the_interval_of_the_mean() -> None:
     assert vehicle_mean_interval(even).low == pytest.approx(plain.low, abs=1e-12), "a balanced table is no other"
 
 
+def test_vehicles_that_have_one_score_everywhere_have_an_interval() -> None:
+    """Whichever scene is left out, the mean stays: what BCa divides by is 0."""
+    saturated = {"suv": 0.0, "coupe": 1.0}
+    scenes = {f"{scene:02d}": tuple(saturated) for scene in range(10)} | {"10": ("suv",)}
+
+    def rows(scenes: dict[str, tuple[str, ...]]) -> pd.DataFrame:
+        return pd.DataFrame(
+            [{"score": saturated[name], "vehicle": name, "place": at} for at, names in scenes.items() for name in names]
+        )
+
+    assert vehicle_mean_interval(rows(scenes)) == Interval(0.5, 0.5, 0.5)
+    # Of three scenes every 27th draw holds the first alone, as many the second: more than BCa's 2.5 % at either end.
+    assert vehicle_mean_interval(rows({"a": ("suv",), "b": ("coupe",), "c": ("suv", "coupe")})) == Interval(0.5, 0, 1)
+
+
 def test_an_interval_over_thousands_of_scenes_takes_a_hundred_megabytes() -> None:
     scenes = 2_000
     score = np.random.default_rng(0).uniform(size=5 * scenes)
