@@ -21,7 +21,7 @@ PAGES = sorted(
     [record.ROOT / "README.md", *(p for p in (record.ROOT / "docs").rglob("*.md") if p.parent.name != "reference")]
 )
 TABLES = Path(__file__).parent / "tables"
-_BLOCK = re.compile(r"(<!-- ?measured: ?([^>]*?) ?-->\n)(.*?)(\n<!-- ?end ?-->)", re.DOTALL)
+_BLOCK = re.compile(r"(<!-- ?measured: ?([^>]*?) ?-->\n)(.*?)\n?(<!-- ?end ?-->)", re.DOTALL)
 _TABLE = re.compile(r"^\|.*(?:\n\|.*)+$", re.MULTILINE)
 # A number that was measured has a fraction, a unit of time, size or length, or is one of many.
 _NUMBER = re.compile(
@@ -32,7 +32,7 @@ _NUMBER = re.compile(
 
 def drawn(text: str) -> str:
     """A page with every marked block as its figures have it."""
-    return _BLOCK.sub(lambda match: f"{match[1]}{_draw(match[2])}{match[4]}", text)
+    return _BLOCK.sub(lambda match: f"{match[1]}{_draw(match[2])}\n{match[4]}", text)
 
 
 def draw() -> list[Path]:

@@ -26,6 +26,13 @@ def test_a_marked_table_is_what_its_figures_say(page: Path) -> None:
     assert pages.drawn(text) == text, "run: make evidence ARGS=--draw"
 
 
+def test_a_block_without_a_table_is_drawn_and_takes_nothing_of_what_follows() -> None:
+    marks = "<!-- measured: open.code -->\n{}<!-- end -->\n"
+    found = pages.drawn(marks.format("") + "\n## next\n\n" + marks.format("drawn before\n"))
+    one, other = found.split("\n## next\n\n")
+    assert one == other and "a package of" in one and "drawn before" not in one
+
+
 def test_another_figure_draws_another_table(monkeypatch: pytest.MonkeyPatch) -> None:
     text = (ROOT / "docs" / "guides" / "gate.md").read_text(encoding="utf-8")
     found = record.read("gate")
