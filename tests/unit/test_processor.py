@@ -10,8 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
-from shift3d.processor import has_wide_float32, usable_cpus
+from shift3d.processor import usable_cpus
 
 # Grows by what 700 products of different sizes leave behind, configured before or not, torch imported before or not.
 PRODUCTS = """
@@ -23,7 +24,9 @@ if configured:
     from shift3d.processor import configure_runtime
     configure_runtime(1)
 import torch
-from shift3d.sdf.affine import affine
+
+def product(rows):
+    torch.ops.mkldnn._linear_pointwise(torch.ones(rows, 256), weight, None, "none", [], "")
 
 def resident_mb():
     ctypes.CDLL(None).malloc_trim(0)  # as a worker does
@@ -31,10 +34,10 @@ def resident_mb():
 
 weight = torch.ones(256, 256)
 with torch.no_grad():
-    affine(torch.ones(1, 256), weight, None)
+    product(1)
     before = resident_mb()
     for rows in range(2, 702):
-        affine(torch.ones(rows, 256), weight, None)
+        product(rows)
 print(json.dumps({"grown_mb": resident_mb() - before, "threads": torch.get_num_threads()}))
 """
 
@@ -53,8 +56,9 @@ print(next(line.split()[1] for line in lines if line.startswith("AnonHugePages")
 LARGE_PAGES = Path("/sys/kernel/mm/transparent_hugepage/enabled")
 
 takes_onednn = pytest.mark.skipif(
-    not has_wide_float32() or platform.libc_ver()[0] != "glibc",
-    reason="float32 products are not oneDNN's on this processor, or the allocator is not glibc's",
+    not (torch.backends.mkldnn.is_available() and torch.backends.cpu.get_cpu_capability().startswith("AVX512"))
+    or platform.libc_ver()[0] != "glibc",
+    reason="oneDNN is not used on this processor, or the allocator is not glibc's",
 )
 
 
