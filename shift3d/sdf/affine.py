@@ -13,9 +13,9 @@ _LEAST_ROWS = 16
 def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     """Rows x (N, in) times weight (out, in) transposed, plus bias (out,): (N, out).
 
-    float32 on CPU goes to oneDNN where that is the faster (`processor`), anything else, and whatever gradients are
-    asked of, to torch. They differ by roundings. Where no gradient is asked for, either gives a row the same value
-    whatever rows stand beside it, MKL from 16 rows on: see `padded_to_bucket`. Differentiable.
+    float32 on CPU goes to oneDNN where that is the faster (`processor`); anything else, and what gradients are wanted
+    of, to torch. They differ by roundings. Without gradients either gives a row the same value whatever rows stand
+    beside it, MKL from 16 rows on: see `padded_to_bucket`. Differentiable.
     """
     plain = x.dtype == torch.float32 and x.device.type == "cpu" and type(x) is Tensor
     if plain and not _is_differentiated(x, weight, bias):
