@@ -115,11 +115,11 @@ def check(
     or a kerb beside it carries nothing.
     """
     places = places_near(points, theta, size_m, box=box)
-    with torch.no_grad():
-        metric = field(places).double()
-    deepest = float(metric.min()) if len(metric) else float("inf")
     under = (places[:, :2].abs() <= size_m[:2] / 2).all(-1) & (places[:, 2] <= 0.0)
-    nearest = float(metric[under].abs().min()) if bool(under.any()) else float("inf")
+    with torch.no_grad():
+        deepest, nearest = _least(field.estimate(places), under)
+        if nearest > field.bfloat16_band_m:  # both are exact up to there
+            deepest, nearest = _least(field(places), under)
     return ConstraintCheck(
         deepest,
         nearest,
@@ -129,6 +129,12 @@ def check(
         object_points >= limits.min_object_points,
         is_clear(theta, others, limits.clear_m),
     )
+
+
+def _least(metric: Tensor, under: Tensor) -> tuple[float, float]:
+    """The least distance (M,), and the least |distance| under the object (M,) bool; infinity where there is none."""
+    deepest = float(metric.min()) if len(metric) else float("inf")
+    return deepest, float(metric[under].abs().min()) if bool(under.any()) else float("inf")
 
 
 def is_clear(theta: Tensor, others: Tensor | None, clear_m: float) -> bool:
@@ -158,13 +164,13 @@ def snap_to_ground(
             metric = field.estimate(places).double()  # exact where it decides
         if abs(float(metric.min())) <= _TOUCHING_M:
             return snapped
-        few = scene_from_object(places[metric.argsort(stable=True)[:_FEW]], snapped)
+        few, clearance = scene_from_object(places[metric.argsort(stable=True)[:_FEW]], snapped), float(metric.min())
         for _ in range(_MOVES):
+            snapped[2] -= clearance
+            if not abs(float(snapped[2] - theta[2])) <= reach_m:
+                return None
             with torch.no_grad():
                 clearance = float(field(object_from_scene(few, snapped)).min())
             if abs(clearance) <= _TOUCHING_M / 2:
                 break
-            snapped[2] -= clearance
-            if not abs(float(snapped[2] - theta[2])) <= reach_m:
-                return None
     return None

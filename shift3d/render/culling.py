@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -58,7 +59,13 @@ class Rays:
 
     def select(self, rows: Tensor) -> Rays:
         """Some of the rays, by row or by mask."""
-        return Rays(*(part[rows] for part in (self.index, self.origins, self.directions, self.near_m, self.far_m)))
+        return Rays(*take((self.index, self.origins, self.directions, self.near_m, self.far_m), rows))
+
+
+def take(parts: Iterable[Tensor], rows: Tensor) -> Iterator[Tensor]:
+    """Some rows of each of the tensors (M, ...), by number or by a mask (M,): a third of what indexing takes."""
+    numbers = torch.nonzero(rows).squeeze(1) if rows.dtype == torch.bool else rows
+    return (part.index_select(0, numbers) for part in parts)
 
 
 def rows_of(index: Tensor, among: Tensor) -> Tensor:

@@ -44,5 +44,10 @@ def padded_to_bucket(x: Tensor, *parts: Tensor) -> Tensor:
     return torch.nn.functional.pad(x, (0, 0, 0, wanted - rows))
 
 
+def units_on(hidden: Tensor) -> Tensor:
+    """(width,) bool: which units are on in one of the rows (N, width) behind a rectifier. A NaN is on."""
+    return hidden.amax(0) != 0 if len(hidden) else hidden.new_zeros(hidden.shape[1], dtype=torch.bool)
+
+
 def _is_differentiated(*parts: Tensor | None) -> bool:
     return torch.is_grad_enabled() and any(part is not None and part.requires_grad for part in parts)

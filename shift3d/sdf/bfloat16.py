@@ -9,25 +9,28 @@ a hit never is a rough one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-from shift3d.processor import has_fast_bfloat16, pad_to_bucket
-from shift3d.sdf.field import Field as DecoderField
-from shift3d.sdf.field import units_on
+from shift3d.processor import pad_to_bucket
+from shift3d.sdf.affine import units_on
 
 
 class Bfloat16Field:
-    """g(z, .) of a folded decoder, wide layers in bfloat16. Not differentiable. Takes and returns float32."""
+    """g(z, .) of a folded decoder, wide layers in bfloat16. Not differentiable. Takes and returns float32.
 
-    def __init__(self, field: DecoderField) -> None:
-        skip = field.skip_layer
-        self.skip = skip
-        weights = [weight.detach() for weight in field.weights]
-        self.biases = [bias.detach() for bias in field.biases]
+    weights, biases, skip_layer: see `field.Field`; float32.
+    """
+
+    def __init__(self, weights: Sequence[Tensor], biases: Sequence[Tensor], skip_layer: int) -> None:
+        self.skip = skip_layer
+        weights = [weight.detach() for weight in weights]
+        self.biases = [bias.detach() for bias in biases]
         self.first, self.last = weights[0].T, weights[-1].T
-        self.at_skip = weights[skip][:, -3:].T
-        wide = [w[:, :-3] if layer == skip else w for layer, w in enumerate(weights)]
+        self.at_skip = weights[skip_layer][:, -3:].T
+        wide = [w[:, :-3] if layer == skip_layer else w for layer, w in enumerate(weights)]
         self.wide = [w.T.to(torch.bfloat16) for w in wide]
         self.wide_biases = [bias.to(torch.bfloat16) for bias in self.biases]
 
@@ -58,12 +61,3 @@ class Bfloat16Field:
             hidden = hidden.relu_()
             self._note(hidden[: len(x_sdf)], live)
         return torch.tanh(torch.addmm(self.biases[-1], hidden.float(), self.last)[: len(x_sdf), 0])
-
-
-def bfloat16_copy(field: object, dtype: torch.dtype) -> Bfloat16Field | None:
-    """The bfloat16 form of a float32 decoder's field; None for other fields and where bfloat16 would be slow."""
-    if not isinstance(field, DecoderField) or dtype != torch.float32 or field.dtype != torch.float32:
-        return None
-    if field.skip_layer < 1 or not has_fast_bfloat16():
-        return None
-    return Bfloat16Field(field)

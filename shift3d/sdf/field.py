@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from shift3d.sdf.affine import affine, padded_to_bucket
+from shift3d.processor import has_fast_bfloat16
+from shift3d.sdf.affine import affine, padded_to_bucket, units_on
+from shift3d.sdf.bfloat16 import Bfloat16Field
 from shift3d.sdf.linear_regions import LinearRegion, linear_region
 
 
@@ -32,11 +35,19 @@ class Field:
 
     def __init__(self, weights: list[Tensor], biases: list[Tensor], skip_layer: int) -> None:
         self.weights, self.biases, self.skip_layer = weights, biases, skip_layer
+        self._last_slice: tuple[Sequence[Tensor], Field] | None = None
 
     @property
     def dtype(self) -> torch.dtype:
         """The dtype that points are cast to."""
         return self.weights[0].dtype
+
+    @cached_property
+    def rough(self) -> Bfloat16Field | None:
+        """The field in bfloat16; None where that would be slow, in float64, and for other networks than a decoder's."""
+        if self.dtype != torch.float32 or self.skip_layer < 1 or not has_fast_bfloat16():
+            return None
+        return Bfloat16Field(self.weights, self.biases, self.skip_layer)
 
     def __call__(self, x_sdf: Tensor) -> Tensor:
         """Signed distance in sdf units, negative inside.
@@ -116,7 +127,13 @@ class Field:
         """The field without the hidden units that are off: the same values wherever only `live` units are on.
 
         The layers through whose bias the code enters stay whole, so that derivatives by these biases keep their width.
+        Renderings ask again and again for the same units: the last slice is kept.
         """
+        if self._last_slice is None or not _same(live, self._last_slice[0]):
+            self._last_slice = live, self._sliced(live)
+        return self._last_slice[1]
+
+    def _sliced(self, live: Sequence[Tensor]) -> Field:
         rows: list[Tensor | None] = []
         for layer, mask in enumerate(live):
             whole = layer in (0, self.skip_layer)
@@ -140,9 +157,8 @@ class Field:
         return Field([w.detach() for w in self.weights], [b.detach() for b in self.biases], self.skip_layer)
 
 
-def units_on(hidden: Tensor) -> Tensor:
-    """(width,) bool: which units are on in one of the rows (N, width) behind a rectifier. A NaN is on."""
-    return hidden.amax(0) != 0 if len(hidden) else hidden.new_zeros(hidden.shape[1], dtype=torch.bool)
+def _same(live: Sequence[Tensor], other: Sequence[Tensor]) -> bool:
+    return live is other or all(torch.equal(one, two) for one, two in zip(live, other, strict=True))
 
 
 _UNITS = 32

@@ -262,7 +262,8 @@ def a_coarse_value_next_to_the_surface() -> None:
         along = torch.linspace(-2.4, 2.4, 240, dtype=torch.float64)
         x = torch.stack((along, torch.full_like(along, 0.3), torch.full_like(along, -0.1)), 1)
         coarse = ObjectField.of(sdf, vehicle, torch.float32, 4096, bfloat16_band_m=0.02)
-        vars(coarse)["rough"] = Bfloat16Field(sdf)  # whether this processor is fast at it or not
+        # Whether this processor is fast at it or not.
+        vars(sdf)["rough"] = Bfloat16Field(sdf.weights, sdf.biases, sdf.skip_layer)
         estimate, exact = coarse.estimate(x), fine(x)
         assert coarse.count.coarse > 0, "some are coarse"
     near = (exact < 0.01) | (estimate < 0.01)

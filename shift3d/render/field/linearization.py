@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from shift3d.render.culling import Rays
+from shift3d.render.culling import Rays, take
 from shift3d.render.field.object_field import ObjectField
 from shift3d.sdf.field import Field as DecoderField
 
@@ -45,14 +45,14 @@ class Linearization:
 
     def select(self, rows: Tensor) -> Linearization:
         """Some of them, by row or by mask."""
-        return self._of((part[rows] for part in self._parts()), self._graph_of(lambda graph: graph[rows]))
+        return self._of(take(self._parts(), rows), self._graph_of(lambda graph: graph[rows]))
 
     def joined(self, other: Linearization) -> Linearization:
         """These and others of the same field, by beam."""
         if len(other) == 0 or len(self) == 0:
             return self if len(other) == 0 else other
         order, theirs = torch.argsort(torch.cat((self.index, other.index))), other.graph
-        parts = (torch.cat(pair)[order] for pair in zip(self._parts(), other._parts(), strict=True))
+        parts = take((torch.cat(pair) for pair in zip(self._parts(), other._parts(), strict=True)), order)
         graph = None if theirs is None else self._graph_of(lambda graph: torch.cat((graph, theirs))[order])
         return self._of(parts, graph)
 

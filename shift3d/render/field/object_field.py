@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.sdf.bfloat16 import Bfloat16Field, bfloat16_copy
+from shift3d.sdf.bfloat16 import Bfloat16Field
 from shift3d.sdf.field import Field as DecoderField
 from shift3d.sdf.linear_regions import LinearRegion
 
@@ -87,7 +86,6 @@ class ObjectField:
     batch: int
     bfloat16_band_m: float = 0.0
     count: EvaluationCount = dataclasses.field(default_factory=EvaluationCount)
-    slices: dict[int, tuple[LiveUnits, ObjectField]] = dataclasses.field(default_factory=dict)
 
     @staticmethod
     def of(
@@ -107,10 +105,12 @@ class ObjectField:
             bfloat16_band_m,
         )
 
-    @cached_property
+    @property
     def rough(self) -> Bfloat16Field | None:
         """The field in bfloat16, where it may be used and is fast."""
-        return bfloat16_copy(self.sdf, self.dtype) if self.bfloat16_band_m > 0 else None
+        if not isinstance(self.sdf, DecoderField) or self.dtype != torch.float32 or self.bfloat16_band_m <= 0:
+            return None
+        return self.sdf.rough
 
     def __call__(self, x_object: Tensor) -> Tensor:
         x_sdf = self.to_sdf(x_object)
@@ -158,15 +158,10 @@ class ObjectField:
         return torch.cat([g for g, _ in parts]) * self.scale_m, live
 
     def sliced(self, live: LiveUnits) -> ObjectField:
-        """The same field without the hidden units that are not live, counted together; itself where none is known.
-
-        A rendering asks several times for the same units: each slice is made once.
-        """
+        """The same field without the hidden units that are not live, counted together; itself where none is known."""
         if live is None or not isinstance(self.sdf, DecoderField):
             return self
-        if id(live) not in self.slices:
-            self.slices[id(live)] = live, dataclasses.replace(self, sdf=self.sdf.sliced(live), slices={})
-        return self.slices[id(live)][1]
+        return dataclasses.replace(self, sdf=self.sdf.sliced(live))
 
     def float32_copy(self) -> ObjectField | None:
         """The same field evaluated in float32, counted together; None for fields that are no decoder's.
@@ -177,7 +172,7 @@ class ObjectField:
             return None
         weights, biases = ([part.float() for part in parts] for parts in (self.sdf.weights, self.sdf.biases))
         copy = DecoderField(weights, biases, self.sdf.skip_layer)
-        return dataclasses.replace(self, sdf=copy, dtype=torch.float32, slices={})
+        return dataclasses.replace(self, sdf=copy, dtype=torch.float32)
 
     def piecewise_linear(self) -> bool:
         """Whether the field can tell its linear regions along a beam."""

@@ -15,7 +15,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from shift3d.render.culling import Rays
+from shift3d.render.culling import Rays, take
 from shift3d.render.field.sdf_grid import SdfGrid
 
 _END_MOVES_M = 0.05
@@ -47,7 +47,7 @@ class RaySamples:
 
     def select(self, chosen: Tensor) -> Self:
         """Some of the samples, by number or mask."""
-        return type(self)(*(part[chosen] for part in vars(self).values()))
+        return type(self)(*take(vars(self).values(), chosen))
 
     @classmethod
     def stacked(cls, parts: Sequence[Self]) -> Self:

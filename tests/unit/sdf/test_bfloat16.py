@@ -6,10 +6,9 @@ import torch
 from analytic_fields import Frame, sector_scan
 
 from shift3d.geometry.se3 import object_from_scene
-from shift3d.placement.constraints import snap_to_ground
+from shift3d.placement.constraints import Constraints, check, snap_to_ground
 from shift3d.render import Beams, preset, render
 from shift3d.render.field.object_field import ObjectField
-from shift3d.sdf.bfloat16 import bfloat16_copy
 from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
 from shift3d.sdf.field import Field
 
@@ -81,8 +80,10 @@ def test_the_same_hits_with_and_without(shipped: tuple[Field, Frame]) -> None:
 
 def test_only_float32_decoders_have_a_bfloat16_copy() -> None:
     field = Decoder().folded().double().field(torch.zeros(256, dtype=torch.float64))
-    assert bfloat16_copy(field, torch.float64) is None
-    assert bfloat16_copy(lambda x: x[:, 0], torch.float32) is None
+    assert field.rough is None
+    for sdf in (Decoder().folded().field(torch.zeros(256)), lambda x: x[:, 0]):
+        assert ObjectField.of(sdf, Frame(), torch.float64, 256, bfloat16_band_m=0.02).rough is None
+        assert ObjectField.of(sdf, Frame(), torch.float32, 256).rough is None
     assert np.isfinite(preset("reference").bfloat16_band_m) and preset("reference").bfloat16_band_m == 0.0
 
 
@@ -101,3 +102,14 @@ def test_it_comes_to_stand_where_it_touches(shipped: tuple[Field, Frame], start_
     with torch.no_grad():
         assert abs(float(fine(object_from_scene(points, found)).min())) <= 0.004
     assert torch.allclose(found, exact, atol=1e-3)
+
+
+@needs_bfloat16
+@pytest.mark.parametrize("height_m", [-0.95, -0.8, -0.75, -0.7, -0.4])
+def test_constraints_are_checked_to_the_bit(shipped: tuple[Field, Frame], height_m: float) -> None:
+    field, frame = shipped
+    fine, coarse = (ObjectField.of(field, frame, torch.float32, 4096, bfloat16_band_m=band) for band in (0.0, 0.02))
+    size_m, theta = torch.tensor(frame.size_m, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    ground = torch.cartesian_prod(torch.linspace(-3, 3, 60), torch.linspace(-2, 2, 40), torch.tensor([height_m]))
+    held = [check(each, ground.double(), theta, size_m, 300, Constraints()) for each in (fine, coarse)]
+    assert held[0] == held[1] and coarse.count.coarse > 0

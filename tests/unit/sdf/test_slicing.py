@@ -100,6 +100,19 @@ def test_a_field_that_is_on_everywhere_stays_whole() -> None:
     assert all(torch.equal(a, b) for a, b in zip(whole.weights, thin.weights, strict=True))
 
 
+def test_the_same_units_are_the_same_slice_and_others_another() -> None:
+    whole, x = field(1), places()
+    live = whole.survey(x[:50])[1]
+    thin = whole.sliced(live)
+    assert whole.sliced([mask.clone() for mask in live]) is thin
+    other = [mask.clone() for mask in live]
+    off = torch.nonzero(~other[1]).squeeze(1)
+    other[1][off] = True
+    assert len(off) and whole.sliced(other).weights[1].shape[0] > thin.weights[1].shape[0]
+    again = whole.sliced(live)
+    assert all(torch.equal(a, b) for a, b in zip(again.weights, thin.weights, strict=True))
+
+
 def test_an_object_field_surveys_in_batches_and_counts_on() -> None:
     whole, x = field(2), places(100)
     metric = ObjectField.of(whole, Frame(scale_m=2.5), torch.float64, 32)
@@ -116,7 +129,7 @@ def test_an_object_field_surveys_in_batches_and_counts_on() -> None:
 @pytest.mark.skipif(not has_fast_bfloat16(), reason="this processor has no fast bfloat16")
 def test_a_survey_in_bfloat16_reports_what_is_on_but_for_what_hardly_is() -> None:
     whole, x = field(3, torch.float32), places().float()
-    rough, live = Bfloat16Field(whole).survey(x)
+    rough, live = Bfloat16Field(whole.weights, whole.biases, whole.skip_layer).survey(x)
     exact, on = whole.survey(x)
     assert float((rough - exact).abs().max()) < 0.02
     differs = torch.cat(live) != torch.cat(on)
