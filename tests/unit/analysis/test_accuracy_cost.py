@@ -61,10 +61,11 @@ def test_a_baseline_that_tasks_share_is_one_object() -> None:
 
 def test_time_is_that_of_the_presets_own_tasks() -> None:
     rows = [score("a", "baseline"), score("b", "baseline", "draft")]
-    times = [timing("a", "total", 4000.0), timing("a", "render", 1000.0), timing("b", "total", 1000.0)]
+    spent = {"total": 4000.0, "render": 1000.0, "scored_by_sst": 2200.0, "audit": 3.0, "naturalness": 297.0}
+    times = [*(timing("a", stage, took) for stage, took in spent.items()), timing("b", "total", 1000.0)]
     draft, standard = accuracy_cost(pd.DataFrame(rows), pd.DataFrame(times))
-    assert "A task took 4.0 s: render 25%." in standard
-    assert "A task took 1.0 s" in draft and "no beam was audited" in draft
+    assert "A task took 4.0 s: scored by sst 55%, render 25%, naturalness 7%, other 13%." in standard
+    assert "A task took 1.0 s: other 100%." in draft and "no beam was audited" in draft
 
 
 def test_without_a_frontier_of_ones_own_the_shipped_one_speaks(tmp_path: Path) -> None:

@@ -107,12 +107,13 @@ def _audited(rows: pd.DataFrame) -> str:
 
 
 def _spent(timings: pd.DataFrame) -> str:
-    """Time that rendering and auditing took of a task's."""
-    stages = timings.groupby("stage")["milliseconds"].sum()
+    """What took a task's time: its stages, the longest first; what takes less than 1 % is `other`."""
+    stages = timings.groupby("stage")["milliseconds"].sum().sort_values(ascending=False)
     tasks, total = timings["task_id"].nunique(), float(stages.get("total", 0.0))
     if not tasks or not total:
         return "No times."
-    shares = [
-        f"{name} {stages[name] / total:.0%}" for name in ("render", "detector", "backward", "audit") if name in stages
-    ]
+    parts = stages.drop("total") / total
+    shares = [f"{str(name).replace('_', ' ')} {share:.0%}" for name, share in parts[parts >= 0.01].items()]
+    other = 1.0 - float(parts[parts >= 0.01].sum())
+    shares += [f"other {other:.0%}"] if other >= 0.01 else []
     return f"A task took {total / tasks / 1e3:.1f} s: {', '.join(shares)}."
