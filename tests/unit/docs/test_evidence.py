@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from scripts.evidence import pages, plan, record
 from scripts.evidence.readers import read_figures
 
 from shift3d.accuracy_time import drive
+from shift3d.analysis.tables.accuracy.cost import MEASURED
 
 ROOT = Path(__file__).parents[3]
 ENTRIES = {entry.name: entry for entry in plan.read_plan()}
@@ -89,6 +91,15 @@ def test_a_frontier_depends_on_what_its_own_journal_depends_on() -> None:
     for name in ("frontier", "final_newton"):
         parts = [f"shift3d/{part}" if part.endswith(".py") else f"shift3d/{part}/*" for part in drive._CODE]
         assert set(parts) <= set(ENTRIES[name].depends)
+
+
+def test_the_presets_that_ship_are_those_of_the_page() -> None:
+    """A report's table of presets and docs/why/accuracy.md: `docs/scripts/shipped.py presets` after a new frontier."""
+    measured = record.read("frontier")["figures"]
+    for preset in json.loads(MEASURED.read_text(encoding="utf-8")):
+        values = {"ms": preset["ms_median"], "times paper": preset["ratio_to_paper"]}
+        for name, value in values.items():
+            assert measured[f"{preset['setting']}/{name}"]["value"] == pytest.approx(value, rel=1e-3)
 
 
 def test_every_number_of_a_table_is_drawn_or_listed_with_a_reason() -> None:
