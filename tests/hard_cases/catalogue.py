@@ -22,6 +22,7 @@ AREAS = (
     "constraints",
     "effects",
     "evaluation",
+    "statistics",
     "scene files",
     "vehicle files",
     "checkpoints",
