@@ -23,6 +23,7 @@ AREAS = (
     "effects",
     "evaluation",
     "statistics",
+    "retrieval",
     "scene files",
     "vehicle files",
     "checkpoints",
