@@ -10,9 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
-
-_ROUNDED = 1e-12
-"""Differences below it are those of rounding: three replicates of 0.1 have a mean of 0.09999999999999999."""
+from shift3d.analysis.statistics.rounding import without_rounding
 
 
 @dataclass(frozen=True)
@@ -33,22 +31,18 @@ def paired(rows: pd.DataFrame, method: str, reference: str) -> Paired | None:
     """Differences method - reference, task by task (replicates averaged); None where no task has both.
 
     rows: columns task_id, place, method, score. Source: our choice: the paper states no test. Scenes, not tasks, are
-    counted by the test, since vehicles in one scene are no independent draws. A difference of rounding is none: the
-    test ranks signs, and would take the same one in every scene for an effect.
+    counted by the test, since vehicles in one scene are no independent draws. A difference of rounding is none.
     """
     table = rows.pivot_table(index=["place", "task_id"], columns="method", values="score", aggfunc="mean")
     if method not in table or reference not in table:
         return None
-    difference = _without_rounding((table[method] - table[reference]).dropna())
+    difference = (table[method] - table[reference]).dropna()
     if difference.empty:
         return None
+    difference[:] = without_rounding(difference.to_numpy())
     places = list(difference.index.get_level_values("place"))
-    by_scene = _without_rounding(difference.groupby(level="place").mean()).to_numpy()
+    by_scene = without_rounding(difference.groupby(level="place").mean().to_numpy())
     return Paired(mean_interval(difference, places), _signed_rank(by_scene), len(by_scene), len(difference))
-
-
-def _without_rounding(differences: pd.Series) -> pd.Series:
-    return differences.mask(differences.abs() < _ROUNDED, 0.0)
 
 
 def _signed_rank(differences: NDArray[np.float64]) -> float | None:
