@@ -27,7 +27,10 @@ def joint_search(problem: AttackProblem, lambda_: float, space: CodeSpace, limit
         if not bool(torch.isfinite(v).all()):
             return v
         u = space.project(v[:count])
-        metric = problem.metric(space.code(u.to(space.start.dtype)).detach())
+        code = space.code(u.to(space.start.dtype)).detach()
+        if not bool(torch.isfinite(code).all()):  # coordinates are float64, and a code may be float32
+            return torch.full_like(v, torch.inf)
+        metric = problem.metric(code)
         theta = snapped(project(v[count:], problem.theta0, limits), problem, metric, limits)
         return torch.cat([u.double(), theta])
 

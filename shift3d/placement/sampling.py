@@ -163,6 +163,9 @@ def place(
 
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
+    # A place asks which beams hit, so a vehicle too large for the tolerance is rendered to what the dtype can reach.
+    reachable = settings.reachable_residual_m(float(vehicle.scale_m))
+    settings = settings.with_(tolerance_m=max(settings.tolerance_m, reachable))
     metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
     size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
     rejected: Counter[str] = Counter()

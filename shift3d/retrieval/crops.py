@@ -109,10 +109,10 @@ def _free_places(starts: Array, ends: Array, inside: NDArray[np.bool_], half: Ar
     aim = way / length[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         near, far = (-half - starts) / aim, (half - starts) / aim
-    enter = np.nanmax(np.minimum(near, far), axis=1)
+    enter = np.maximum(np.nanmax(np.minimum(near, far), axis=1), 0.0)  # a sensor may be in the box
     leave = np.nanmin(np.maximum(near, far), axis=1)
     leave = np.minimum(leave, length - np.where(inside, _BEFORE_M, 0.0))
-    kept = np.flatnonzero(leave > np.maximum(enter, 0.0))
+    kept = np.flatnonzero(leave > enter)
     # Beams that left the box say more than those that ended in it.
     kept = kept[np.lexsort((*ends[kept].T, inside[kept]))]
     through, ended = kept[~inside[kept]], kept[inside[kept]]

@@ -37,18 +37,23 @@ class EffectSettings:
     def __post_init__(self) -> None:
         """Refuse what no scene can be. Raises InputError: naming the setting and the remedy."""
         for name, value in self.overrides().items():
-            least, strictly = (-1e3, False) if name == "object_speed_m_s" else (0.0, name in _POSITIVE)
-            if not np.isfinite(value) or value < least or (strictly and value == 0.0):
-                remedy = "Give a positive number" if strictly else f"Give a finite number of at least {least:g}"
+            strictly = name in _POSITIVE
+            if name == "object_speed_m_s":
+                if not abs(value) <= _FASTEST_M_S:
+                    raise InputError(f"{name} is {value}", "effects", f"Give {-_FASTEST_M_S:g} to {_FASTEST_M_S:g}")
+            elif not np.isfinite(value) or value < 0.0 or (strictly and value == 0.0):
+                remedy = "Give a positive number" if strictly else "Give a finite number of at least 0"
                 raise InputError(f"{name} is {value}", "effects", remedy)
         # A scene has these bounds too, and nobody validates it again once settings describe it.
         _sensor(SensorModel(), self.overrides()).validate("effects")
+        _weather(Conditions(weather_in_points=False), self.overrides(), "").validate("effects")
 
     def overrides(self) -> dict[str, float]:
         """The settings that are not None, by name."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
+_FASTEST_M_S = 1e3
 _POSITIVE = ("visibility_m", "range_noise_m", "divergence_rad", "limit_range_m")
 _SENSOR = {part.name for part in fields(SensorModel)}
 
@@ -65,9 +70,6 @@ def with_settings(scene: Scene, settings: EffectSettings) -> Scene:
 
 def _sensor(sensor: SensorModel, overrides: dict[str, float]) -> SensorModel:
     return replace(sensor, **{name: value for name, value in overrides.items() if name in _SENSOR})
-
-
-NO_OVERRIDES = EffectSettings()
 
 
 def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) -> Conditions:
@@ -87,6 +89,7 @@ def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) ->
 
 
 _WEATHER = {"snow": "snow_mm_h", "rain": "rain_mm_h", "fog": "visibility_m"}
+NO_OVERRIDES = EffectSettings()
 _GROUND_BAND_M = 0.3
 _GROUND_SHARE = 0.02
 

@@ -16,6 +16,8 @@ from shift3d.scenes.listing import refuse_not_finite, require_array
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
 WEATHERS = ("dry", "rain", "fog", "snow")
+LEAST_VISIBILITY_M = 1e-3
+"""Densest fog (our choice). Of 1e-15 m the first metre of a beam has no two places in float64 that tell its echo."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +104,9 @@ class Conditions:
             rate = getattr(self, name)
             if not 0.0 <= rate < float("inf"):
                 raise InputError(f"{rate} mm/h", f"{where}, conditions.{name}", "Give a finite rate of at least 0.")
-        if not self.visibility_m > 0.0:
-            what = f"{self.visibility_m} m"
-            raise InputError(what, f"{where}, conditions.visibility_m", "Give a positive distance (inf: clear).")
+        if not self.visibility_m >= LEAST_VISIBILITY_M:
+            remedy = f"Give at least {LEAST_VISIBILITY_M:g} m (inf: clear)."
+            raise InputError(f"{self.visibility_m} m", f"{where}, conditions.visibility_m", remedy)
         if self.ego_velocity_m_s is not None and not np.isfinite(self.ego_velocity_m_s).all():
             what = f"{self.ego_velocity_m_s}"
             raise InputError(what, f"{where}, conditions.ego_velocity_m_s", "Give finite numbers, or None.")

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.scenes.listing import refuse_not_finite, require_array
 
+LEAST_LIMIT_M, LEAST_SPREAD = 1e-3, 1e-9
+"""Smallest limit of a sensor, and width of a limit that is not sharp (our choice): below them lie typing errors."""
+
 
 @dataclass(frozen=True)
 class SensorModel:
@@ -35,8 +38,13 @@ class SensorModel:
             value = getattr(self, name)
             if value is not None and not 0.0 < value <= most:
                 raise InputError(f"{value}", f"{where}, sensor.{name}", f"Give more than 0, at most {most:g}, or None.")
-        if not 0.0 <= self.power_spread <= 10.0:
-            raise InputError(f"{self.power_spread}", f"{where}, sensor.power_spread", "Give 0 to 10.")
+        # Powers are divided by this limit's square, which of 1e-170 m is 0, and their logarithms by the spread.
+        if self.limit_range_m is not None and self.limit_range_m < LEAST_LIMIT_M:
+            remedy = f"Give at least {LEAST_LIMIT_M:g} m, or None."
+            raise InputError(f"{self.limit_range_m} m", f"{where}, sensor.limit_range_m", remedy)
+        if not (self.power_spread == 0.0 or LEAST_SPREAD <= self.power_spread <= 10.0):
+            remedy = f"Give {LEAST_SPREAD:g} to 10, or 0 for a sharp limit."
+            raise InputError(f"{self.power_spread}", f"{where}, sensor.power_spread", remedy)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from shift3d.sweep.planning.plan import Plan
 FOLDER = "retrieval"
 """Where retrievals lie in their sweep's folder, one a pool: a sweep's folders themselves, each with a log."""
 _POOL, _RETRIEVED = "vehicle_pool", "retrieved"
-_VERSION = 1
+_VERSION = 2
 """Raised when a crop comes to another fit under the same settings: part of the name that a pool's hash is made from."""
 
 

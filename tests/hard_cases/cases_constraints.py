@@ -18,7 +18,7 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.placement.constraints import ConstraintCheck, Constraints, check, is_clear, snap_to_ground
 from shift3d.placement.ground import fit_ground
-from shift3d.placement.sampling import NoPlacement, PlacementLimits, Site, place, refusals
+from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, Site, place, refusals
 from shift3d.render import Beams, preset
 from shift3d.render.field.object_field import ObjectField
 
@@ -276,3 +276,22 @@ def a_neighbour_at_exactly_the_clear_distance() -> None:
     assert not is_clear(here, at, 5.0) and is_clear(here, at, math.nextafter(5.0, 0.0))
     assert not is_clear(here, torch.full((1, 2), math.nan), 5.0)  # a neighbour nobody knows the place of
     assert is_clear(here, None, 5.0) and is_clear(here, at[:0], 5.0)
+
+
+@hard_case(
+    area=AREA,
+    why="a bus is drawn in units of 20 m, whose rounding in float32 is above the tolerance that places are rendered to",
+    must="it finds the place that it finds in units of 10 m, whatever accuracy the task has",
+    guard="a place is rendered to what the dtype can reach on the vehicle",
+)
+def a_bus_in_units_of_twenty_metres() -> None:
+    site = Site(Beams.from_arrays(*ground_scan(rings=64)), -1.73)
+    places = []
+    for scale_m in (10.0, 17.0, 20.0):
+        frame = Frame((18.0, 2.5, 3.2), scale_m)
+        field, rng = in_frame(box((9.0, 1.25, 1.6)), frame), np.random.default_rng(0)
+        found = place(site, field, frame, rng, PlacementLimits(12.0, 25.0), Constraints(min_object_points=50))
+        assert isinstance(found, Placement)
+        places.append((found.theta, found.check.object_points))
+    assert all(torch.allclose(theta, places[0][0], atol=1e-4) for theta, _ in places)
+    assert len({count for _, count in places}) == 1

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 from catalogue import hard_case
+from clear_errors import refused
 from hard_echoes import (
+    AHEAD,
     READER,
     ahead,
     drawn,
@@ -47,6 +49,27 @@ def a_visibility_of_a_millimetre() -> None:
     finite(seen)
     assert seen.returned.all() and not seen.on_object.any()
     assert ((seen.range_m >= 0.9) & (seen.range_m < 0.901)).all()
+
+
+@hard_case(
+    area=AREA,
+    why="a power is divided by the square of a limit, which of 1e-170 m is 0; the echo of a fog of 1e-300 m ends "
+    "nearer to its beginning than any two places in float64 are",
+    must="an error that names the setting, of a scene's own as well; the least that is allowed gives finite points",
+    guard="what no sensor and no weather is near is refused, zero or not",
+)
+def settings_of_effects_next_to_zero() -> None:
+    least = {"limit_range_m": 1e-3, "power_spread": 1e-9, "visibility_m": 1e-3}
+    below = [("limit_range_m", 1e-170), ("limit_range_m", 1e-160), ("power_spread", 5e-324)]
+    below += [("visibility_m", 1e-300), ("visibility_m", 5e-324), ("object_speed_m_s", 1e300)]
+    every = ["wet_ground", "fog", "rain", "snow", "ray_drop"]
+    for name, value in below:
+        refused(lambda name=name, value=value: EffectSettings(**{name: value}), name)  # type: ignore[misc]
+    refused(lambda: Conditions("fog", visibility_m=1e-300).validate("made"), "conditions.visibility_m")
+    refused(lambda: SensorModel(limit_range_m=1e-170).validate("made"), "sensor.limit_range_m")
+    for value in (1e-3, 1e3):
+        without_tables()
+        drawn(ahead(30.0, 40, reflectance=reported(0.5)), every, AHEAD, **least, rain_mm_h=value, snow_mm_h=value)
 
 
 @hard_case(

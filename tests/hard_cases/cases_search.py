@@ -13,10 +13,13 @@ from catalogue import hard_case
 from torch import Tensor
 from toy_detector import WaveDetector
 
-from shift3d.attack.pose import PoseLimits, attack_pose
+from shift3d.attack.joint import joint_search
+from shift3d.attack.loop import descend
+from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.score_only import evolve
 from shift3d.attack.shape import attack_shape, shape_search
+from shift3d.attack.space import free_space
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.placement.constraints import Constraints
 from shift3d.render import Beams, preset
@@ -152,6 +155,25 @@ def a_huge_lambda() -> None:
     for lambda_ in (1e100, 1e300):
         result = attack_shape(problem(), lambda_, alpha=1e6, steps=6)
         assert result.status == "diverged" and len(result.trace) < 5
+        assert torch.isfinite(result.latent_code).all() and torch.isfinite(result.theta).all()
+
+
+@hard_case(
+    area=AREA,
+    why="shape and pose together are searched in float64: of a finite step of 1e50 the float32 code is infinite",
+    must="the search ends there, says so, and never asks for the field of such a code",
+    guard="a step is also taken back where its code leaves the finite numbers",
+)
+def a_huge_lambda_on_shape_and_pose() -> None:
+    def field_of(code: Tensor) -> Field:
+        assert torch.isfinite(code).all(), "a decoder refuses such a code"
+        return in_frame(soft_car(code), FRAME)
+
+    single = replace(problem(), field_of=field_of, code0=CODE.float(), _near=[])
+    for lambda_, alpha in ((1e9, 1e9), (1.0, 1e30)):
+        search = joint_search(single, lambda_, free_space(single.code0), PAPER_LIMITS)
+        result = descend(single, search, 8, alpha)
+        assert result.status == "diverged" and len(result.trace) < 8
         assert torch.isfinite(result.latent_code).all() and torch.isfinite(result.theta).all()
 
 

@@ -22,6 +22,8 @@ AREAS = (
     "constraints",
     "effects",
     "evaluation",
+    "statistics",
+    "retrieval",
     "scene files",
     "vehicle files",
     "checkpoints",

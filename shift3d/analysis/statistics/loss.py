@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from shift3d.analysis.statistics.rounding import without_rounding
 from shift3d.seeding import generator
 
 FloatArray = NDArray[np.float64]
@@ -18,10 +19,14 @@ _MOST_OBJECTS = 1_000_000
 
 
 def scene_sums(differences: FloatArray, places: Sequence[str]) -> FloatArray:
-    """Sums over each place (S, ...) of differences (N, ...), of N named places; those without a difference left out."""
+    """Sums over each place (S, ...) of differences (N, ...), of N named places; those without a difference left out.
+
+    A sum of rounding, as of differences that cancel each other, is 0.
+    """
     _, index = np.unique(np.asarray(places), return_inverse=True)
     sums = np.zeros((index.max() + 1, *differences.shape[1:]))
     np.add.at(sums, index, differences)
+    sums = without_rounding(sums)
     return np.asarray(sums[sums.reshape(len(sums), -1).any(axis=1)])
 
 

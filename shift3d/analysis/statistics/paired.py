@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
+from shift3d.analysis.statistics.rounding import without_rounding
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ def paired(rows: pd.DataFrame, method: str, reference: str) -> Paired | None:
     """Differences method - reference, task by task (replicates averaged); None where no task has both.
 
     rows: columns task_id, place, method, score. Source: our choice: the paper states no test. Scenes, not tasks, are
-    counted by the test, since vehicles in one scene are no independent draws.
+    counted by the test, since vehicles in one scene are no independent draws. A difference of rounding is none.
     """
     table = rows.pivot_table(index=["place", "task_id"], columns="method", values="score", aggfunc="mean")
     if method not in table or reference not in table:
@@ -38,8 +39,9 @@ def paired(rows: pd.DataFrame, method: str, reference: str) -> Paired | None:
     difference = (table[method] - table[reference]).dropna()
     if difference.empty:
         return None
+    difference[:] = without_rounding(difference.to_numpy())
     places = list(difference.index.get_level_values("place"))
-    by_scene = difference.groupby(level="place").mean().to_numpy()
+    by_scene = without_rounding(difference.groupby(level="place").mean().to_numpy())
     return Paired(mean_interval(difference, places), _signed_rank(by_scene), len(by_scene), len(difference))
 
 
