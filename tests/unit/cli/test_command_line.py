@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import signal
 import subprocess
 import sys
 from importlib import metadata
@@ -78,6 +79,37 @@ def test_what_is_missing_on_the_line_is_named(words: list[str], says: str, capsy
     assert says in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["sweep", "smoke", "--dryrun"], "unknown option '--dryrun' of sweep. Did you mean --dry-run? One of: --help,"),
+        (["report", "outputs/a", "--case=8"], "unknown option '--case=8' of report. Did you mean --cases?"),
+        (["ui", "extra"], "shift3d ui takes no further word: extra"),
+    ],
+)
+def test_an_option_that_a_command_lacks_is_named_beside_those_it_has(
+    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        parse(words)
+    assert stopped.value.code == 2 and says in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+@pytest.mark.parametrize(
+    ("command", "says"), [("verify", "interrupted; the same command resumes"), ("gc", "interrupted")]
+)
+def test_an_interrupted_command_says_whether_it_resumes(command: str, says: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "spec.yaml")
+    running = subprocess.Popen(
+        [sys.executable, "-m", "shift3d", command, str(tmp_path)], stderr=subprocess.PIPE, text=True
+    )
+    with (tmp_path / "spec.yaml").open("w"):  # opens once the command reads it
+        running.send_signal(signal.SIGINT)
+        assert running.wait(timeout=60) == 130
+    assert running.stderr is not None and running.stderr.read() == f"shift3d {command}: {says}\n"
+
+
 def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     assert "examples:" in capsys.readouterr().out
@@ -105,6 +137,7 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_2(
     captured = capsys.readouterr()
     assert message in captured.err and len(captured.err.strip().splitlines()) == 1
     assert captured.err.startswith(f"shift3d {arguments[0]}: ")
+    assert not captured.err.startswith(f"shift3d {arguments[0]}: {arguments[0]}: ")
 
 
 def test_words_of_a_sweep() -> None:
