@@ -9,6 +9,7 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -122,6 +123,7 @@ def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["plan", "vehicle=sub"], "Did you mean 'suv'?"),
         (["export", "nowhere", "task=ID", "method=random", "to=x"], "it does not exist, or is empty"),
         (["export", "nowhere", "task=ID", "method=random"], "to= is missing"),
+        (["report", __file__], "test_command_line.py: is a file, not the output folder of a sweep. Check the path"),
         (["export", "nowhere", "tusk=ID"], "cannot read 'tusk=ID'. Did you mean task=?"),
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=a"], "is not a whole number"),
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=²"], "is not a whole number"),
@@ -196,6 +198,16 @@ def sweeps(tmp_path: Path) -> Path:
         ("report outputs/s", {"outputs/smoke-0123"}),
         ("export outputs/smoke-0123 ", {"task=", "method=", "replicate=", "to=", "overwrite="}),
         ("export outputs/smoke-0123 method=adv", {"method=adversarial", "method=adversarial_noise"}),
+        ("sweep smoke mode=", {"mode=shape", "mode=pose", "mode=shape_pose"}),
+        ("sweep smoke scenes.weather=", {f"scenes.weather={kind}" for kind in ("dry", "rain", "fog", "snow")}),
+        ("sweep smoke scenes.traffic=", {f"scenes.traffic={kind}" for kind in ("family", "wide", "held_out")}),
+        ("sweep smoke scenes.skip_bad=", {"scenes.skip_bad=true", "scenes.skip_bad=false"}),
+        ("sweep smoke attack.steps=", set()),
+        ("verify outputs/smoke-0123 runner.w", {"runner.workers=", "runner.worker_memory_mb="}),
+        ("patterns outputs/smoke-0123 runner=", {"runner=local", "runner=ray"}),
+        ("retrieve outputs/smoke-0123 pool=outputs/s", {"pool=outputs/smoke-0123"}),
+        ("retrieve outputs/smoke-0123 po", {"pool="}),
+        ("compile detector=", {"detector=pointpillars", "detector=centerpoint"}),
         ("fit car.glb u", {"up=", "unit="}),
         ("fit car.glb up=+", {"up=+x", "up=+y", "up=+z"}),
         ("train mo", {"model="}),
@@ -212,6 +224,17 @@ def test_what_is_offered_for_a_mesh_and_a_model_is_what_they_take() -> None:
 
     assert set(train._VALUES["model"]) == set(MODELS)
     assert {"forward": AXES, "up": AXES, "unit": tuple(UNITS_M)} == FRAME_VALUES
+
+
+def test_the_values_that_comments_list_are_those_that_settings_take() -> None:
+    from shift3d.attack.names import SearchName, SpaceName
+    from shift3d.settings.schema.config import Config
+
+    def offered(key: str) -> set[str]:
+        return {word.partition("=")[2] for word in overrides(f"{key}=")}
+
+    assert offered("attack.search") == set(get_args(SearchName)) and offered("attack.space") == set(get_args(SpaceName))
+    assert offered("mode") == set(get_args(Config.model_fields["mode"].annotation))
 
 
 def test_completion_offers_sweeps_groups_options_and_settings() -> None:
