@@ -81,7 +81,7 @@ ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, centerpoint, sst_small or sst; shift3d train --help says what else
 	$(BIN)/shift3d train $(ARGS) $(WORDS)
 
-finetune: .venv/.runtime  ## attack, fine-tune on what was found, measure: ARGS="size=small" takes an evening
+finetune: .venv/.runtime  ## attack, fine-tune on what was found, measure: ARGS="size=small" takes two hours
 	$(BIN)/shift3d finetune $(ARGS) $(WORDS)
 
 docs: .venv/.runtime  ## write docs/reference from the code and the configuration
