@@ -110,7 +110,7 @@ def _lines(text: str) -> list[tuple[list[str], list[str]]]:
     for indent, name, value, comment in re.findall(r"^( *)(\w+):[ ]*([^#\n]*)(.*)", text, flags=re.MULTILINE):
         parents = [*parents[: len(indent) // 2], name]
         first, *others = comment.split(" | ")
-        listed = [*re.findall(r"(\w+)(?: \([^)]*\))?$", first), *(re.match(r"\w*", part)[0] for part in others)]
+        listed = [*re.findall(r"(\w+)(?: \([^)]*\))?$", first), *(re.split(r"\W", part)[0] for part in others)]
         truth = ["true", "false"] if value.strip() in ("true", "false") else []
         found.append((parents, listed if others else truth))
     return found
