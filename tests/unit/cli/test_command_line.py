@@ -129,6 +129,10 @@ def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=²"], "is not a whole number"),
         (["fit", "car.glb", "unit=m", "out=x", "steps=²"], "is not a whole number"),
         (["train"], "model= is missing"),
+        (
+            ["compile", "detector=onnx", "to=a.onnx"],
+            "detector=onnx cannot be compiled. One of: pointpillars, centerpoint",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -6,7 +6,7 @@ import argparse
 
 from shift3d.cli.command import Command, key_values, local_path
 from shift3d.cli.completion import key_words
-from shift3d.detectors.names import COMPILED
+from shift3d.detectors.names import COMPILED, DETECTOR_NAMES
 from shift3d.errors import InputError
 
 _KEYS = ("detector", "weights", "to")
@@ -27,6 +27,10 @@ examples:
 
 def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, _KEYS, ("detector", "to"), "compile")
+    if values["detector"] not in DETECTOR_NAMES:
+        raise InputError(
+            f"detector={values['detector']} cannot be compiled", "compile", f"One of: {', '.join(COMPILED)}"
+        )
     target = local_path(values["to"], "to")
     if target.suffix != ".onnx":
         raise InputError(f"to={values['to']} does not end in .onnx", "compile", "Give to=FILE.onnx")
