@@ -10,8 +10,14 @@ WORDS = $(strip $(foreach name,$(filter-out $(OWN),$(.VARIABLES)),$(if $(filter 
 # Workers run one thread each (same bytes on any machine); these keep libraries from starting more on import.
 export HYDRA_FULL_ERROR := 1
 
+TARGETS := help setup sweep which-sweep retry-quarantined verify report test check bench frontier stress mutants ui train \
+  finetune docs evidence wheel pictures clean
+# make would run the target before a word that is none, as in "make sweep smoke".
+STRAY := $(filter-out $(TARGETS) .venv/%,$(MAKECMDGOALS))
+$(if $(STRAY),$(error unknown: $(STRAY). A sweep is named by SWEEP=NAME, its folder by OUT=FOLDER, options by ARGS="..."; make help lists the targets))
+
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep which-sweep retry-quarantined verify report test check bench frontier stress mutants ui train finetune docs evidence wheel pictures clean
+.PHONY: $(TARGETS)
 
 help:  ## what there is to run
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-18s %s\n", $$1, $$2}'
@@ -75,7 +81,7 @@ ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, centerpoint, sst_small or sst; shift3d train --help says what else
 	$(BIN)/shift3d train $(ARGS) $(WORDS)
 
-finetune: .venv/.runtime  ## attack, fine-tune on what was found, measure: ARGS="size=small" takes an evening
+finetune: .venv/.runtime  ## attack, fine-tune on what was found, measure: ARGS="size=small" takes two hours
 	$(BIN)/shift3d finetune $(ARGS) $(WORDS)
 
 docs: .venv/.runtime  ## write docs/reference from the code and the configuration

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -39,7 +40,7 @@ def measured_parts(scores: pd.DataFrame, timings: pd.DataFrame, source: str) -> 
     rows = timings.merge(whose, on="task_id")
     accuracies = sorted(whose["accuracy"].unique())
     if len(accuracies) != 1:
-        raise InputError("sweeps", f"are of the accuracies {', '.join(accuracies)}: give sweeps of one")
+        raise InputError(f"are of the accuracies {', '.join(accuracies)}", "sweeps", "Give sweeps of one")
     searches = rows["method"].eq("adversarial") & rows["stage"].isin([*_STEP, *_DESCENT])
     search, objects, rest = rows[searches], rows[~searches], rows[~rows["stage"].isin([*_STEP, *_DESCENT])]
     others = rest["stage"].str.startswith(_SCORED_BY)
@@ -78,8 +79,10 @@ def main(arguments: Sequence[str]) -> None:
         case ["task_parts", machine, *folders] if folders:
             sweeps = [read_sweep(folder) for folder in folders]
             scores = pd.concat([sweep.scored for sweep in sweeps])
-            tasks = [f"{counted(sweep.scored['task_id'].nunique(), 'task')} of {sweep.plan.sweep}" for sweep in sweeps]
-            source = f"{', '.join(tasks)}, {machine}"
+            tasks = Counter[str]()
+            for sweep in sweeps:
+                tasks[sweep.plan.sweep] += sweep.scored["task_id"].nunique()
+            source = ", ".join([*(f"{counted(number, 'task')} of {name}" for name, number in tasks.items()), machine])
             parts = measured_parts(scores, pd.concat([sweep.timings for sweep in sweeps]), source)
             write_atomic(SHIPPED, f"{json.dumps(asdict(parts), indent=2)}\n".encode())
         case _:

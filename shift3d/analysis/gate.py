@@ -82,7 +82,7 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     after = {key: scores[key] for key in suite.objects["object_id"]}
     if last is None:
         number = accept_release(suite, releases, detector, scorer.digest, after)
-        text = f"{counted(len(after), 'object')} scored; accepted as release {number}, the first"
+        text = f"{counted(len(after), 'object')} scored; accepted as release {number}, the first of {detector}"
         return Outcome(ExitCode.DONE, text, compared=False)
     found = compare(suite.objects, last.scores, after, settings.rule)
     texts = _write(out, suite, scorer, found, last, settings)

@@ -65,25 +65,52 @@ def key_words(
     return complete
 
 
+def runner_words(prefix: str, **_: Any) -> list[str]:
+    """Completions of a setting of the runner, for commands that take no others."""
+    return [word for word in overrides(prefix) if word.startswith("runner")]
+
+
+def retrieval_words(prefix: str, **_: Any) -> list[str]:
+    """Completions of a word after ``shift3d retrieve OUT``: the pool's folder, or an override."""
+    key, equals, value = prefix.partition("=")
+    if equals and key == "pool":
+        return [f"pool={folder}" for folder in folder_words(value)]
+    return [name for name in ["pool="] if name.startswith(prefix)] + overrides(prefix)
+
+
 def overrides(prefix: str) -> list[str]:
-    """Completions of ``group=option``, ``group.setting=`` ``out=`` and ``reuse=``."""
-    key, equals, _ = prefix.partition("=")
+    """Completions of ``group=option``, ``group.setting=``, ``setting=value``, ``out=`` and ``reuse=``."""
+    key, equals, value = prefix.partition("=")
     if equals:
-        return [f"{key}={option}" for option in files(f"conf/{key}")] if key.isidentifier() else []
-    return [f"{name}=" for name in ["out", "reuse", *_settings()] if name.startswith(prefix)]
+        found = files(f"conf/{key}") if key.isidentifier() else []
+        return [f"{key}={option}" for option in [*found, *_settings().get(key, ())] if option.startswith(value)]
+    return [f"{name}=" for name in ["out", "reuse", *sorted(_settings())] if name.startswith(prefix)]
 
 
-def _settings() -> list[str]:
-    names = set(re.findall(r"^(\w+):", (shipped("conf") / "config.yaml").read_text(), flags=re.MULTILINE))
-    names.discard("defaults")
+def _settings() -> dict[str, list[str]]:
+    """Every group and setting, with the values that its comment lists."""
+    top = _lines((shipped("conf") / "config.yaml").read_text())
+    names = {parents[0]: values for parents, values in top if len(parents) == 1 and parents != ["defaults"]}
     for path in [file for folder in places("conf") for file in folder.glob("*/*.yaml")]:
-        group = path.parent.name
-        names.add(group)
-        if path.read_text().startswith("# @package _global_"):
+        group, text = path.parent.name, path.read_text()
+        names.setdefault(group, [])
+        if text.startswith("# @package _global_"):
             continue  # it sets what stands elsewhere
-        parents: list[str] = []
-        for indent, name in re.findall(r"^( *)(\w+):", path.read_text(), flags=re.MULTILINE):
-            parents = [*parents[: len(indent) // 2], name]
-            if name not in ("defaults", "kind"):
-                names.add(".".join([group, *parents]))
-    return sorted(names)
+        for parents, values in _lines(text):
+            if parents[-1] not in ("defaults", "kind"):
+                known = names.setdefault(".".join([group, *parents]), [])
+                known += [value for value in values if value not in known]
+    return names
+
+
+def _lines(text: str) -> list[tuple[list[str], list[str]]]:
+    """Each setting of a file of conf/, its name and those around it; and its values: ``# a (why) | b``, or a truth."""
+    found: list[tuple[list[str], list[str]]] = []
+    parents: list[str] = []
+    for indent, name, value, comment in re.findall(r"^( *)(\w+):[ ]*([^#\n]*)(.*)", text, flags=re.MULTILINE):
+        parents = [*parents[: len(indent) // 2], name]
+        first, *others = comment.split(" | ")
+        listed = [*re.findall(r"(\w+)(?: \([^)]*\))?$", first), *(re.split(r"\W", part)[0] for part in others)]
+        truth = ["true", "false"] if value.strip() in ("true", "false") else []
+        found.append((parents, listed if others else truth))
+    return found

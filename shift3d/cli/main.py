@@ -10,6 +10,7 @@ import os
 import sys
 import textwrap
 from collections.abc import Sequence
+from typing import NoReturn
 
 from shift3d.cli.command import Command
 from shift3d.cli.commands import compact, effects, fit, frontier, gc, jobs, plan, report, scenes, sweep, ui
@@ -40,6 +41,9 @@ tab completion (bash, zsh):
   eval "$(register-python-argcomplete shift3d)"
 
 {textwrap.fill(exit_codes(), 110)}"""
+
+
+_RESUMES = "; the same command resumes"
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -78,11 +82,25 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         hint = f"Did you mean {close[0]!r}? " if close else ""
         parser.error(f"unknown command {word!r}. {hint}One of: {', '.join(names)}")
     parsed, rest = parser.parse_known_args(arguments)
-    if any(word.startswith("-") for word in rest) or (rest and not hasattr(parsed, "words")):
-        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    if unknown := next((word for word in rest if word.startswith("-")), None):
+        _refuse_option(parser, parsed.command, unknown)
+    if rest and not hasattr(parsed, "words"):
+        parser.error(f"shift3d {parsed.command} takes no further word: {' '.join(rest)}")
     if rest:
         parsed.words = [*parsed.words, *rest]
     return parsed
+
+
+def _refuse_option(parser: argparse.ArgumentParser, name: str | None, option: str) -> NoReturn:
+    """End with the options that a command has, and the one that was meant. name: of the command, None before it."""
+    known = ["--help", "--version"]
+    if command := next((command for command in COMMANDS if command.name == name), None):
+        own = argparse.ArgumentParser(add_help=False)
+        command.add_arguments(own)
+        known = ["--help", *(word for action in own._actions for word in action.option_strings)]
+    close = difflib.get_close_matches(option.partition("=")[0], known, n=1)
+    hint = f"Did you mean {close[0]}? " if close else ""
+    parser.error(f"unknown option {option!r} of {name or 'shift3d'}. {hint}One of: {', '.join(known)}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -101,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         return _report(error, parsed)
     except KeyboardInterrupt:
-        print(f"shift3d {parsed.command}: interrupted", file=sys.stderr)
+        print(f"shift3d {parsed.command}: interrupted{_RESUMES if parsed.resumes else ''}", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     except BrokenPipeError:
         # The reader of our output (head, less) has left; there is nobody to tell.
@@ -120,7 +138,8 @@ def _report(error: InputError, parsed: argparse.Namespace) -> int:
     from shift3d.store.atomic import DiskFullError
 
     resumes = ": it resumes" if isinstance(error, DiskFullError) and parsed.resumes else ""
-    print(f"shift3d {parsed.command}: {error}{resumes}", file=sys.stderr)
+    text = str(error).removeprefix(f"{parsed.command}: ")  # where a word of the command is wrong, it is the place
+    print(f"shift3d {parsed.command}: {text}{resumes}", file=sys.stderr)
     return int(error.exit_code)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import take_words
+from shift3d.cli.completion import runner_words
 from shift3d.errors import InputError
 from shift3d.settings.folders import files
 
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 SWEEP_WORDS = "the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs"
 SWEEP_METAVAR = "NAME | key=value"
-RUNNER = ("where it runs: settings of conf/runner", "runner=...")
-"""Help and metavar of the words of commands that `runner_of` reads."""
+RUNNER = ("where it runs: settings of conf/runner", "runner=...", runner_words)
+"""Help, metavar and completions of the words of commands that `runner_of` reads."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ ForeignName = Literal["openpcdet", "mmdet3d"]
 DetectorName = Literal[TrainedName, ForeignName, "own", "onnx"]
 DETECTOR_NAMES: tuple[str, ...] = get_args(TrainedName)
 """Detectors of shift3d."""
+COMPILED = ("pointpillars", "centerpoint")
+"""Those that can be written as ONNX files, see `detectors.compiled`."""
 OWN = "own"
 """The user's own, see `detectors.own`."""
 FOREIGN: tuple[str, ...] = get_args(ForeignName)

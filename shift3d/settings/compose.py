@@ -234,6 +234,9 @@ def validate(values: Values, where: str, axes: Sequence[str] = ()) -> Config:
     can be given. Raises InputError naming the field and what it may be."""
     if not isinstance(values, dict):
         raise InputError(f"the settings are a {type(values).__name__}", where=where, remedy="Write NAME: VALUE lines")
+    if lacking := [name for name, field in Config.model_fields.items() if field.is_required() and name not in values]:
+        remedy = "Begin its file with `defaults: [/config, _self_]`, or with a sweep that ships in the place of /config"
+        raise InputError(f"it does not say {', '.join(lacking)}", where=where, remedy=remedy)
     if "frontier" in values:
         remedy = "Run it with: make frontier, or shift3d frontier"
         raise InputError("it measures what accuracy costs and has no tasks", where, remedy)
@@ -245,7 +248,7 @@ def validate(values: Values, where: str, axes: Sequence[str] = ()) -> Config:
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        raise messages.from_validation(error, where) from error
+        raise messages.from_validation(error, where, values) from error
 
 
 def leaves(values: Values, prefix: str = "") -> Iterator[tuple[str, Any]]:

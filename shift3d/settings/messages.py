@@ -29,8 +29,11 @@ def choice_error(what: str, value: str, allowed: Iterable[str], where: str, look
     return InputError(f"unknown {what} {value!r}", where=where, remedy=f"{known}. {looked}" if looked else known)
 
 
-def from_validation(error: ValidationError, where: str) -> InputError:
-    """The first failure of a pydantic validation, naming the field, what it may be, and the remedy."""
+def from_validation(error: ValidationError, where: str, values: Mapping[str, Any] | None = None) -> InputError:
+    """The first failure of a pydantic validation, naming the field, what it may be, and the remedy.
+
+    values: what was validated, for the names of the fields beside an unknown one.
+    """
     first = error.errors(include_url=False)[0]
     # A discriminated union puts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
     path = [str(part) for part in first["loc"]]
@@ -41,8 +44,11 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     if value == "???" or kind == "missing":
         return InputError(f"{field} is required", where=where, remedy=f"Add {field}=VALUE to the command")
     if kind == "extra_forbidden":
-        remedy = f"See {shown(shipped('conf'))} for all of them"
-        return InputError(f"there is no setting {field}", where=where, remedy=remedy)
+        beside = sorted(_siblings(field, values or {}).keys() - {field})
+        close = difflib.get_close_matches(field, beside, n=1)
+        known = f"Did you mean {close[0]!r}? " if close else ""
+        known += f"One of: {', '.join(beside)}" if beside else f"See {shown(shipped('conf'))} for all of them"
+        return InputError(f"there is no setting {field}", where=where, remedy=known)
     if kind == "literal_error":
         allowed = re.findall(r"'([^']+)'|(\d+)", first["ctx"]["expected"])
         return choice_error(field, str(value), [text or number for text, number in allowed], where)

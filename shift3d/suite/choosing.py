@@ -78,7 +78,7 @@ def _eligible(rows: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, int]]:
     left_out: dict[str, int] = {}
     for reason, keeps in (
         ("without a score", rows["score"].notna()),
-        ("of a search that found none", rows["status"].ne("no_valid_step") | rows["score"].isna()),
+        ("whose search found nothing valid", rows["status"].ne("no_valid_step") | rows["score"].isna()),
         ("left as they were", rows["best_step"].ne(0) | (rows["method"] == "baseline")),
         ("in the way of other points", rows["overlap_ok"].ne(False)),  # null passes
         ("off the ground", rows["contact_ok"].ne(False)),

@@ -119,7 +119,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         others = ", ".join(map(str, request.reuse))
         print(f"{result.reused} of {counted(result.planned, 'task')} were done in {others}")
     elif result.final is not None and not result.ran:
-        print("nothing is left to run: these are the results of before")
+        print("nothing is left to run: these are the stored results")
     if result.final is None:
         flags = ["--retry-quarantined"] if arguments.retry_quarantined else []
         command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *words, *flags])

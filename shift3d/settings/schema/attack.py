@@ -66,14 +66,15 @@ class AttackConfig(Record):
     @model_validator(mode="after")
     def _searches_over_kinds(self) -> Self:
         if self.space == "family" and self.search not in ("expectation", "random"):
-            raise ValueError(f"search {self.search} stays with one kind; space family takes expectation or random")
+            what = f"search {self.search} stays with one kind, and space family goes over kinds"
+            raise ValueError(what, "Give attack.search=expectation or random")
         return self
 
     @model_validator(mode="after")
     def _steps_beside_the_starts(self) -> Self:
         wanted = self.starts > 1 or self.steps > 0
-        if self.search == "expectation" and wanted and self.starts - 1 + self.placements > self.steps:
-            raise ValueError(
-                f"starts {self.starts:d} and placements {self.placements:d} leave nothing of {self.steps:d} steps"
-            )
+        needed = self.starts - 1 + self.placements
+        if self.search == "expectation" and wanted and needed > self.steps:
+            what = f"starts {self.starts:d} and placements {self.placements:d} leave nothing of {self.steps:d} steps"
+            raise ValueError(what, f"Give attack.steps={needed:d} or more, or a smaller attack.starts")
         return self

@@ -36,5 +36,8 @@ def read_spec(folder: LocationLike) -> dict[str, Any]:
         why = "it has no spec.yaml" if location.names() else "it does not exist, or is empty"
         what = f"is not the output folder of a sweep ({why})"
         raise InputError(what, where=str(folder), remedy="Check the path") from error
+    except NotADirectoryError as error:
+        what = "is a file, not the output folder of a sweep"
+        raise InputError(what, where=str(folder), remedy="Check the path") from error
     except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
         raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error

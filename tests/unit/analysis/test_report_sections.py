@@ -16,7 +16,7 @@ from shift3d.analysis.cases.chosen import Case, hardest, random_positions
 from shift3d.analysis.cases.rendered import Loaded, Rendered
 from shift3d.analysis.html.sections.auc import auc_blocks, differences
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
-from shift3d.analysis.html.sections.cases import what_changed
+from shift3d.analysis.html.sections.cases import _left_out, what_changed
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import headline
@@ -151,6 +151,17 @@ def test_the_hardest_are_of_other_vehicles_and_scenes_first() -> None:
     # What is no car any more comes last, and only where there are not enough others.
     assert [case.task_id for case in hardest(frame, 2, {"a", "d"})] == ["b", "c"]
     assert [case.task_id for case in hardest(frame, 3, {"a", "d"})] == ["b", "c", "d"]
+
+
+def test_one_unnatural_case_is_one() -> None:
+    chosen = hardest(pd.DataFrame(
+        {"task_id": task, "vehicle": task, "scene": "s", "mode": "shape", "detector": "p", "scored_by": "p"}
+        | {"method": method, "replicate": 0, "score": score}
+        for task in "ab"
+        for method, score in (("baseline", 0.9), ("adversarial", 0.3))
+    ))  # fmt: skip
+    assert _left_out({"a"}, chosen) == " The last one is unnatural: there are not enough others."
+    assert _left_out({"a", "b"}, chosen) == " The last 2 are unnatural: there are not enough others."
 
 
 def test_variants_name_what_differs_and_shape_comes_first(finished: Path) -> None:

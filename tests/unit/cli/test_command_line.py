@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
+import signal
 import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -78,6 +80,37 @@ def test_what_is_missing_on_the_line_is_named(words: list[str], says: str, capsy
     assert says in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["sweep", "smoke", "--dryrun"], "unknown option '--dryrun' of sweep. Did you mean --dry-run? One of: --help,"),
+        (["report", "outputs/a", "--case=8"], "unknown option '--case=8' of report. Did you mean --cases?"),
+        (["ui", "extra"], "shift3d ui takes no further word: extra"),
+    ],
+)
+def test_an_option_that_a_command_lacks_is_named_beside_those_it_has(
+    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        parse(words)
+    assert stopped.value.code == 2 and says in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+@pytest.mark.parametrize(
+    ("command", "says"), [("verify", "interrupted; the same command resumes"), ("gc", "interrupted")]
+)
+def test_an_interrupted_command_says_whether_it_resumes(command: str, says: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "spec.yaml")
+    running = subprocess.Popen(
+        [sys.executable, "-m", "shift3d", command, str(tmp_path)], stderr=subprocess.PIPE, text=True
+    )
+    with (tmp_path / "spec.yaml").open("w"):  # opens once the command reads it
+        running.send_signal(signal.SIGINT)
+        assert running.wait(timeout=60) == 130
+    assert running.stderr is not None and running.stderr.read() == f"shift3d {command}: {says}\n"
+
+
 def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     assert "examples:" in capsys.readouterr().out
@@ -90,11 +123,16 @@ def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["plan", "vehicle=sub"], "Did you mean 'suv'?"),
         (["export", "nowhere", "task=ID", "method=random", "to=x"], "it does not exist, or is empty"),
         (["export", "nowhere", "task=ID", "method=random"], "to= is missing"),
+        (["report", __file__], "test_command_line.py: is a file, not the output folder of a sweep. Check the path"),
         (["export", "nowhere", "tusk=ID"], "cannot read 'tusk=ID'. Did you mean task=?"),
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=a"], "is not a whole number"),
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=²"], "is not a whole number"),
         (["fit", "car.glb", "unit=m", "out=x", "steps=²"], "is not a whole number"),
         (["train"], "model= is missing"),
+        (
+            ["compile", "detector=onnx", "to=a.onnx"],
+            "detector=onnx cannot be compiled. One of: pointpillars, centerpoint",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -105,6 +143,7 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_2(
     captured = capsys.readouterr()
     assert message in captured.err and len(captured.err.strip().splitlines()) == 1
     assert captured.err.startswith(f"shift3d {arguments[0]}: ")
+    assert not captured.err.startswith(f"shift3d {arguments[0]}: {arguments[0]}: ")
 
 
 def test_words_of_a_sweep() -> None:
@@ -163,6 +202,16 @@ def sweeps(tmp_path: Path) -> Path:
         ("report outputs/s", {"outputs/smoke-0123"}),
         ("export outputs/smoke-0123 ", {"task=", "method=", "replicate=", "to=", "overwrite="}),
         ("export outputs/smoke-0123 method=adv", {"method=adversarial", "method=adversarial_noise"}),
+        ("sweep smoke mode=", {"mode=shape", "mode=pose", "mode=shape_pose"}),
+        ("sweep smoke scenes.weather=", {f"scenes.weather={kind}" for kind in ("dry", "rain", "fog", "snow")}),
+        ("sweep smoke scenes.traffic=", {f"scenes.traffic={kind}" for kind in ("family", "wide", "held_out")}),
+        ("sweep smoke scenes.skip_bad=", {"scenes.skip_bad=true", "scenes.skip_bad=false"}),
+        ("sweep smoke attack.steps=", set()),
+        ("verify outputs/smoke-0123 runner.w", {"runner.workers=", "runner.worker_memory_mb="}),
+        ("patterns outputs/smoke-0123 runner=", {"runner=local", "runner=ray"}),
+        ("retrieve outputs/smoke-0123 pool=outputs/s", {"pool=outputs/smoke-0123"}),
+        ("retrieve outputs/smoke-0123 po", {"pool="}),
+        ("compile detector=", {"detector=pointpillars", "detector=centerpoint"}),
         ("fit car.glb u", {"up=", "unit="}),
         ("fit car.glb up=+", {"up=+x", "up=+y", "up=+z"}),
         ("train mo", {"model="}),
@@ -179,6 +228,17 @@ def test_what_is_offered_for_a_mesh_and_a_model_is_what_they_take() -> None:
 
     assert set(train._VALUES["model"]) == set(MODELS)
     assert {"forward": AXES, "up": AXES, "unit": tuple(UNITS_M)} == FRAME_VALUES
+
+
+def test_the_values_that_comments_list_are_those_that_settings_take() -> None:
+    from shift3d.attack.names import SearchName, SpaceName
+    from shift3d.settings.schema.config import Config
+
+    def offered(key: str) -> set[str]:
+        return {word.partition("=")[2] for word in overrides(f"{key}=")}
+
+    assert offered("attack.search") == set(get_args(SearchName)) and offered("attack.space") == set(get_args(SpaceName))
+    assert offered("mode") == set(get_args(Config.model_fields["mode"].annotation))
 
 
 def test_completion_offers_sweeps_groups_options_and_settings() -> None:

@@ -76,7 +76,7 @@ def test_another_module_is_no_release_of_the_first(folder: Path, capsys: pytest.
     error = refused(words, capsys)
     assert "holds releases of detector, none of other. Give name=detector for its next release" in error
     assert main(["gate", *words, "name=other"]) == 0
-    assert "accepted as release 2, the first" in capsys.readouterr().out
+    assert "accepted as release 2, the first of own:other\n" in capsys.readouterr().out
     assert main(["gate", *words]) == 0, "a name that has releases need not be given again"
 
 

@@ -41,3 +41,12 @@ def test_a_sweep_that_nobody_named_is_asked_for_before_anything_is_installed(tar
     done = subprocess.run(["make", target], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout.strip() == f"which sweep? make {target} OUT=outputs/NAME-HASH"
     assert not (tmp_path / ".venv").exists()
+
+
+@pytest.mark.parametrize("words", [["sweep", "smoke"], ["report", "outputs/smoke-0123"], ["swep"]])
+def test_a_word_that_is_no_target_is_refused_before_anything_runs(words: list[str], tmp_path: Path) -> None:
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "OUT"))}
+    done = subprocess.run(["make", *words], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2 and f"unknown: {words[-1]}. A sweep is named by SWEEP=NAME" in done.stderr
+    assert not done.stdout and not (tmp_path / ".venv").exists()

@@ -183,7 +183,7 @@ def test_configuration_names_no_code() -> None:
         (["vehicle=suv", "accuracy.render.solver=[a]"], "Change it with accuracy.render.solver=VALUE"),
         (
             ["vehicle=suv", "mode=shape", "attack.search=expectation", "attack.placements=4", "attack.steps=3"],
-            "leave nothing of 3 steps",
+            "leave nothing of 3 steps. Give attack.steps=4 or more, or a smaller attack.starts",
         ),
         (["detector=ssd"], "Did you mean 'sst'?"),
         (["detector.scored_by=[ssd]"], "Did you mean 'sst'?"),

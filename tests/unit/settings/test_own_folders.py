@@ -82,6 +82,22 @@ def test_a_sweep_may_be_made_of_one_that_ships(team: Path) -> None:
     }
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("scenes: {count: 3}\n", r"sweep mine: it does not say vehicle, .*Begin its file with `defaults: \[/config"),
+        (
+            "defaults: [smoke, _self_]\nscenes: {cuont: 3}\n",
+            r"no setting scenes\.cuont\. Did you mean 'scenes\.count'\? One of: scenes\.beams, ",
+        ),
+    ],
+)
+def test_a_sweeps_file_with_a_mistake_is_refused_with_what_it_needs(team: Path, text: str, message: str) -> None:
+    write(team / "sweeps" / "mine.yaml", text)
+    with pytest.raises(InputError, match=message):
+        list(expand(compose_sweep("mine")))
+
+
 def test_a_group_that_shift3d_does_not_have_is_refused(team: Path) -> None:
     write(team / "conf" / "weather" / "wet.yaml", "rain: 1\n")
     with pytest.raises(InputError, match="there is no setting weather"):

@@ -47,7 +47,8 @@ def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
         return ""
     if not shown:
         return f" Unnatural shapes ({counted(len(unnatural), 'task')}) are left out: they are easy to miss."
-    return f" The last {shown} are unnatural: there are not enough others."
+    which = "The last one is" if shown == 1 else f"The last {shown} are"
+    return f" {which} unnatural: there are not enough others."
 
 
 def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:

@@ -29,15 +29,15 @@ def diagnostics(scores: pd.DataFrame) -> str:
     rows = _objects(scores[scores["max_residual_m"].notna()])
     if not len(rows):
         return "Numerics: no object was rendered."
-    unresolved = int(rows["unresolved_beams"].sum())
+    non_finite, unresolved = (int(rows[name].sum()) for name in ("non_finite", "unresolved_beams"))
     text = (
-        f"Numerics: {int(rows['non_finite'].sum())} non-finite values, {unresolved} unresolved beams, largest |g| at "
-        f"a hit {1e3 * float(rows['max_residual_m'].max()):.2g} mm over {counted(len(rows), 'object')}"
+        f"Numerics over {counted(len(rows), 'object')}: {non_finite} non-finite values, {unresolved} unresolved beams; "
+        f"at hits the distance field is at most {1e3 * float(rows['max_residual_m'].max()):.2g} mm"
     )
     searched = rows[rows["method"] == "adversarial"]
     if searched["grazing_gradient"].notna().any():
         text += (
-            f"; smallest |e.grad g| {float(scores['least_slope'].min()):.2g}, grazing beams carry "
+            f", its slope along the beam at least {float(scores['least_slope'].min()):.2g}; grazing beams carry "
             f"{float(searched['grazing_gradient'].mean()):.0%} of the gradient"
         )
     return f"{text}."

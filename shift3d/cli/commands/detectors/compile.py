@@ -6,15 +6,15 @@ import argparse
 
 from shift3d.cli.command import Command, key_values, local_path
 from shift3d.cli.completion import key_words
-from shift3d.detectors.names import DETECTOR_NAMES
+from shift3d.detectors.names import COMPILED, DETECTOR_NAMES
 from shift3d.errors import InputError
 
 _KEYS = ("detector", "weights", "to")
 
-_DESCRIPTION = """\
+_DESCRIPTION = f"""\
 Writes a detector of shift3d as an ONNX file: points (N, 3), any N, to boxes (A, 7) and scores (A,), one a proposal,
 before suppression (docs/guides/detectors.md). Compares the scores of both on two streets first, and writes nothing
-where they differ by more than 1e-3. pointpillars and centerpoint can be compiled.
+where they differ by more than 1e-3. {" and ".join(COMPILED)} can be compiled.
 Needs: pip install 'shift3d[onnx]'."""
 
 _EPILOG = """\
@@ -27,6 +27,10 @@ examples:
 
 def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, _KEYS, ("detector", "to"), "compile")
+    if values["detector"] not in DETECTOR_NAMES:
+        raise InputError(
+            f"detector={values['detector']} cannot be compiled", "compile", f"One of: {', '.join(COMPILED)}"
+        )
     target = local_path(values["to"], "to")
     if target.suffix != ".onnx":
         raise InputError(f"to={values['to']} does not end in .onnx", "compile", "Give to=FILE.onnx")
@@ -50,5 +54,5 @@ COMMAND = Command(
     _EPILOG,
     _run,
     words="detector=NAME to=FILE.onnx [weights=FILE]",
-    complete=key_words(_KEYS, {"detector": DETECTOR_NAMES}),
+    complete=key_words(_KEYS, {"detector": COMPILED}),
 )

@@ -35,7 +35,7 @@ It is a list of the other commands, and prints each before it runs it. The same 
 
 _EPILOG = """\
 examples:
-  shift3d finetune size=small                  100 objects, 3 seeds: an evening on two cores
+  shift3d finetune size=small                  100 objects, 3 seeds: two hours on two cores
   shift3d finetune                             the paper's size, 2,000 objects: days on two cores, or runner.address=
   shift3d finetune --quick                     a few minutes: the same path; its numbers mean nothing
   shift3d finetune size=small control=true     beside it a model tuned on the unchanged vehicles of the same tasks

@@ -62,7 +62,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if frozen.largest_difference is None:
         print("every object was there already")
     else:
-        print(f"scored again: the sweep's scores to {frozen.largest_difference:.1e}")
+        print(f"scored again: at most {frozen.largest_difference:.1e} from the sweep's scores")
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.completion import retrieval_words
 from shift3d.cli.outcomes import interrupted
 from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
@@ -77,5 +78,6 @@ COMMAND = Command(
     _run,
     FINISHED,
     "settings of sweeps/retrieval.yaml; pool=DIR",
+    complete=retrieval_words,
     resumes=True,
 )
