@@ -105,6 +105,18 @@ def a_renderer_setting_below_zero() -> None:
 
 @hard_case(
     area=AREA,
+    why="a march in steps of a nanometre holds 10^11 samples of one beam, and a search down to 1e-11 m does not end",
+    must="an error while the sweep is planned, naming the setting; a hundredth of a millimetre is taken",
+    guard="a step must not be shorter than a hundredth of a millimetre",
+)
+def a_renderer_step_of_a_nanometre() -> None:
+    for step_m in (1e-9, 1e-11, 1e-300):
+        refused(lambda step_m=step_m: accuracy(step_m=step_m), "accuracy.render", "step_m")
+    accuracy(step_m=1e-5)
+
+
+@hard_case(
+    area=AREA,
     why="from 50 m to 15 m there is no place, and every task would report that nothing fits",
     must="an error that names both limits",
     guard="the near limit must be below the far one",
