@@ -42,7 +42,8 @@ def render(
         Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
 
     Raises:
-        InputError: a pose that is not six finite numbers; a tolerance that the dtype cannot reach on this vehicle.
+        InputError: a pose that is not six finite numbers; a tolerance that the dtype cannot reach on this vehicle;
+            one that the paper's sphere does not hold.
 
     Source: SHIFT3D, Object Rendering in LiDAR scene.
     """
@@ -56,6 +57,7 @@ def render(
     grid, size = grid if settings.sdf_grid else None, vehicle_size(vehicle)
     with torch.no_grad():
         if settings.solver == "paper":
+            paper.check_size(size)
             hits = paper.first_hits(beams, metric, theta, settings)
         elif settings.solver == "piecewise_linear" and metric.piecewise_linear():
             hits = piecewise_linear.first_hits(beams, metric, theta, size, settings)

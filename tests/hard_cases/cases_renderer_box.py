@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from analytic_fields import box, car, ground_scan, sphere, union
 from catalogue import hard_case
@@ -25,6 +26,7 @@ from hard_scenes import (
 )
 from torch import Tensor
 
+from shift3d.errors import InputError
 from shift3d.render import Beams
 
 
@@ -208,3 +210,20 @@ def a_small_part_that_floats_beside_the_box() -> None:
 
 # A nose 6 cm wide that leaves the checked box (x = -2.25 and on) between two of its check points.
 _NOSE = union(box((2.0, 0.8, 0.7)), box((0.6, 0.03, 0.03), (-2.0, 0.0, 0.0)))
+
+
+@hard_case(
+    area="renderer",
+    why="a vehicle of 20 m reaches out of the paper's sphere of 7 m: beams that meet it there would stay as they were",
+    must="the paper's renderer refuses it; the others hit its end",
+    guard="half the diagonal of the vehicle's box is compared with the sphere",
+)
+def a_vehicle_longer_than_the_papers_sphere() -> None:
+    frame, long = replace(PLAIN, size_m=(20.0, 2.0, 1.5)), box((10.0, 1.0, 0.75))
+    beside = beams_along_x()
+    for settings in PRESETS.values():
+        if settings.solver == "paper":
+            with pytest.raises(InputError, match=r"20\.0 x 2\.0 x 1\.5 m reaches out of the paper's sphere of 7 m"):
+                draw(beside, long, pose(14.0), settings, frame=frame)
+        else:
+            hit_at(draw(beside, long, pose(14.0), settings, frame=frame), 4.0)

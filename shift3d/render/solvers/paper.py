@@ -11,6 +11,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from shift3d.errors import InputError
 from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import SPHERE_RADIUS_M, Rays, beams_near, object_rays
 from shift3d.render.field.object_field import ObjectField
@@ -53,6 +54,14 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
         unresolved.append(part.index[lost])
     hits = [torch.cat(column) for column in zip(*found)]
     return FirstHits(hits[0], hits[1], hits[2], torch.cat(unresolved))
+
+
+def check_size(size_m: Tensor) -> None:
+    """Raises InputError: the sphere does not hold a vehicle whose box is size_m (3,); beams beside it would stay."""
+    if float(size_m.norm()) / 2 > SPHERE_RADIUS_M:
+        what = f"a vehicle of {' x '.join(f'{length:.1f}' for length in size_m.tolist())} m"
+        remedy = "Take another accuracy, as standard or reference"
+        raise InputError(f"{what} reaches out of the paper's sphere of {SPHERE_RADIUS_M:g} m", "accuracy", remedy)
 
 
 def _ending_at_sphere(rays: Rays) -> Rays:
