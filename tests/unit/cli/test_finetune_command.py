@@ -24,20 +24,20 @@ LOCAL = ("runner=local", "tracking=none", "scenes.count=1", "scenes.sensor=hdl64
          "vehicle=suv")  # fmt: skip
 
 
-@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.parametrize("stops", [False, True])
 def test_a_step_that_was_asked_to_stop_is_the_last_though_it_came_to_its_end(
-    asked: bool, capsys: pytest.CaptureFixture[str]
+    stops: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As a sweep, which finishes the tasks in flight: where they are its last, it is done."""
 
     def run(arguments: argparse.Namespace) -> int:
         with stop_signals(lambda *_: None):
-            if asked:
+            if stops:
                 os.kill(os.getpid(), signal.SIGTERM)
         return int(ExitCode.DONE)
 
     step = Step(Command("sweep", "", "", "", run, words="words"), ["finetune"])
-    assert run_step(step) == (ExitCode.INTERRUPTED if asked else ExitCode.DONE)
+    assert run_step(step) == (ExitCode.INTERRUPTED if stops else ExitCode.DONE)
     assert capsys.readouterr().out == "\n$ shift3d sweep finetune\n"
 
 
