@@ -8,7 +8,17 @@ import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-__all__ = ["stop_signals"]
+__all__ = ["stop_signals", "taken_signals"]
+
+_taken = 0
+
+
+def taken_signals() -> int:
+    """How many signals handlers of `stop_signals` have taken in this process.
+
+    Work that was asked to stop may have come to its end: what would follow it asks here whether it is still wanted.
+    """
+    return _taken
 
 
 @contextlib.contextmanager
@@ -20,7 +30,13 @@ def stop_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[N
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def take(number: int, frame: FrameType | None) -> None:
+        global _taken
+        _taken += 1
+        handler(number, frame)
+
+    before = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:

@@ -62,6 +62,7 @@ def test_advice_without_presets_without_paper_and_on_two_scene_sets() -> None:
         "On the street scenes (10 renderings, 10,000 hits) no preset was measured; the fastest setting, march 0.1 m, "
         "takes 2 ms a rendering. No setting is dominated."
     )
+    assert "(1 rendering, 10,000 hits)" in advice(frame_of([march(0.1, 2.0, 1e-3) | {"renders": 1}]))
     rows = small_rows()
     both = advice(frame_of([*rows, *(row | {"scenes": "kitti"} for row in rows[4:6])])).split("\n\n")
     assert both[0] == advice(frame_of(rows))

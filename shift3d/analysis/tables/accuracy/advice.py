@@ -12,6 +12,7 @@ import pandas as pd
 
 from shift3d.accuracy_time.pareto import MISPLACED_M, dominators_of, effective_error_m, knee, misplaced, warm_starts
 from shift3d.analysis.tables.table import factor, length, milliseconds, share
+from shift3d.wording import counted
 
 _LADDER = ("draft", "standard", "reference")  # from the fastest to the most accurate; `paper` is what they replace
 _DEFAULT = "standard"
@@ -41,7 +42,7 @@ def advice(frame: pd.DataFrame) -> str:
 
 
 def _costs(rows: pd.DataFrame, scenes: str, presets: dict[str, Any]) -> str:
-    first = f"On the {scenes} scenes ({rows['renders'].max():,} renderings, {rows['hits'].max():,} hits)"
+    first = f"On the {scenes} scenes ({counted(rows['renders'].max(), 'rendering')}, {rows['hits'].max():,} hits)"
     if not presets:
         fastest = rows.loc[rows["ms_median"].idxmin()]
         took = milliseconds(fastest["ms_median"])

@@ -11,6 +11,7 @@ import pandas as pd
 
 from shift3d.accuracy_time.pareto import MISPLACED_M, effective_error_m
 from shift3d.analysis.tables.table import Table, factor, length, milliseconds, share
+from shift3d.wording import counted
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,8 @@ def settings_tables(frame: pd.DataFrame, headers: Collection[str]) -> list[tuple
     for scenes in dict.fromkeys(frame["scenes"]):
         rows = frame[frame["scenes"] == scenes].sort_values("ms_median", kind="stable")
         renders, beams = rows["renders"].max(), rows["beams"].max()
-        title = f"What accuracy costs on the {scenes} scenes ({renders:,} renderings, {beams:,} beams; * on the front)"
+        looked = f"{counted(renders, 'rendering')}, {beams:,} beams"
+        title = f"What accuracy costs on the {scenes} scenes ({looked}; * on the front)"
         found.append((str(scenes), settings_table(rows, title, str(scenes), headers)))
     return found
 

@@ -20,6 +20,7 @@ from shift3d.cli.outcomes import mirror
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
+from shift3d.signals import taken_signals
 
 if TYPE_CHECKING:
     from shift3d.finetuning.report import Tuned
@@ -86,7 +87,7 @@ class FinetuneRequest:
 
 
 @dataclass(frozen=True)
-class _Step:
+class Step:
     """A command of the list."""
 
     command: Command
@@ -138,8 +139,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     incomplete = False
     for step in steps:
-        print(f"\n$ {step}", flush=True)
-        code = run_command(step.command, step.words)
+        code = run_step(step)
         if code not in (ExitCode.DONE, ExitCode.INCOMPLETE):
             print("the same command resumes", file=sys.stderr)
             return code
@@ -149,6 +149,15 @@ def _run(arguments: argparse.Namespace) -> int:
     print(f"\n{report.write_report(folder, config.detector.name, models, [str(step) for step in steps])}")
     mirror(config.tracking, partial(report.mirror, folder, models))
     return int(ExitCode.INCOMPLETE if incomplete else ExitCode.DONE)
+
+
+def run_step(step: Step) -> int:
+    """Run one command of the list; its exit code. One that was asked to stop is interrupted, though it came to its end:
+    whoever asked wants none that follows."""
+    print(f"\n$ {step}", flush=True)
+    before = taken_signals()
+    code = run_command(step.command, step.words)
+    return code if taken_signals() == before else int(ExitCode.INTERRUPTED)
 
 
 def _checked(request: FinetuneRequest) -> tuple[Config, str]:
@@ -200,7 +209,7 @@ def _models(folder: Path, detector: str, request: FinetuneRequest) -> list[Tuned
     return [Tuned(name, seed, folder / f"{name}{rate}-{seed}", detector) for name in names for seed in request.seeds]
 
 
-def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Sequence[Tuned]) -> Iterator[_Step]:
+def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Sequence[Tuned]) -> Iterator[Step]:
     """The commands, in order."""
     from shift3d.finetuning.report import HELD_OUT, NATURAL
     from shift3d.processor import usable_cpus
@@ -213,15 +222,15 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
     detector, own_weights = config.detector.name, config.detector.own_weights
     attacked = folder / "attacked"
 
-    def swept(name: str, out: Path, *more: str) -> _Step:
-        return _Step(sweep.COMMAND, [name, *request.overrides_of(name), *more, f"out={out}"])
+    def swept(name: str, out: Path, *more: str) -> Step:
+        return Step(sweep.COMMAND, [name, *request.overrides_of(name), *more, f"out={out}"])
 
-    def measured(out: Path, weights: str | None) -> _Step:
+    def measured(out: Path, weights: str | None) -> Step:
         words = [f"detector={detector}", f"count={request.streets}", f"workers={workers}"]
-        return _Step(evaluate.COMMAND, [*words, *([f"weights={weights}"] if weights else []), f"out={out}"])
+        return Step(evaluate.COMMAND, [*words, *([f"weights={weights}"] if weights else []), f"out={out}"])
 
     yield swept(_SWEEPS[0], attacked)
-    yield _Step(verify.COMMAND, [str(attacked), *(word for word in request.words if word.startswith("runner"))])
+    yield Step(verify.COMMAND, [str(attacked), *(word for word in request.words if word.startswith("runner"))])
     for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
         yield swept(name, folder / place)
     yield measured(folder / "vanilla" / NATURAL, own_weights)
@@ -236,7 +245,7 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
         ]
         # One thread: the weights do not depend on the number of workers.
         words += [f"recipe.seed={tuned.seed}", *rate, "threads=1", f"mlflow={mlflow}", f"out={tuned.folder}"]
-        yield _Step(train.COMMAND, words)
+        yield Step(train.COMMAND, words)
         yield measured(tuned.folder / NATURAL, str(tuned.weights))
         for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
             if tuned.model == "finetuned" and request.adaptive:

@@ -10,6 +10,7 @@ from shift3d.cli.outcomes import interrupted
 from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
+from shift3d.signals import taken_signals
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
@@ -56,8 +57,9 @@ def _run(arguments: argparse.Namespace) -> int:
     pool = named[-1] if named else default_folder(plan)
     check_decoders(sweep, plan, str(pool))
     print(f"fitting the labelled vehicles of {counted(len(plan.tasks), 'scene')} into {pool}", flush=True)
+    before = taken_signals()
     fitted = build_pool(pool, plan, config.runner)
-    if fitted.final is None:
+    if fitted.final is None or taken_signals() > before:
         return interrupted(fitted)
     print(f"\n{pool_table(fitted.final.frame('vehicle_pool'))}\n", flush=True)
     scored = retrieve(folder, pool, config.runner)
