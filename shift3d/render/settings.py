@@ -12,6 +12,8 @@ from shift3d.errors import InputError
 SMALLEST_SCALE_M = 0.5
 """Settings alone are checked for an object a metre long; `render` checks them again for the one at hand."""
 
+LEAST_STEP_M = 1e-5
+"""Shortest `step_m` (our choice): below it, a search for what lies between two samples takes hours."""
 _POSITIVE = (
     *("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations"),
     *("approach_slope", "grazing_m", "batch"),
@@ -123,6 +125,9 @@ class RenderSettings:
             value, must = getattr(self, name), "be positive" if name in _POSITIVE else "not be negative"
             if not (value > 0 if name in _POSITIVE else value >= 0):
                 raise InputError(f"{name} must {must}", where=f"render settings: {name}={value}")
+        if self.step_m < LEAST_STEP_M:
+            found = f"step_m is {self.step_m} m, and a beam is up to 100 m long"
+            raise InputError(found, where="render settings", remedy=f"Give step_m={LEAST_STEP_M:g} or more")
         if not self.dtype.is_floating_point:
             raise InputError(f"dtype is {self.dtype}", where="render settings", remedy="Give float32 or float64")
         self.check_tolerance(SMALLEST_SCALE_M)

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 # says. bfloat16 changes the direction of a step and nothing that is reported. A processor without instructions for
 # it plans with float32, which is faster there; the plan says which, so that all workers of a sweep do the same.
 _SEARCH_PRECISION = {"draft": "bfloat16", "standard": "bfloat16", "paper": "float32", "reference": "float64"}
-LEAST_STEP_M = 1e-5
-"""Shortest step of a renderer (our choice): below it, a search for what lies between two samples takes hours."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +121,6 @@ def _check_render(settings: dict[str, Any]) -> None:
         RenderSettings(**settings | {"dtype": getattr(torch, settings["dtype"])})
     except InputError as error:
         raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy or remedy) from error
-    if settings["step_m"] < LEAST_STEP_M:
-        what = f"step_m is {settings['step_m']} m, and a beam is up to 100 m long"
-        raise InputError(what, where=where, remedy=f"Give accuracy.render.step_m={LEAST_STEP_M:g} or more")
 
 
 def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
