@@ -51,7 +51,7 @@ def put(name: str, value: object) -> dict[str, object]:
 def a_setting_that_does_not_exist() -> None:
     values = settings()
     values["attack"]["stpes"] = 5
-    refused(lambda: validate(values, HERE), HERE, "no setting attack.stpes", "Did you mean 'steps'? One of: ")
+    refused(lambda: validate(values, HERE), HERE, "no setting attack.stpes", "Did you mean 'attack.steps'? One of: ")
 
 
 @hard_case(
