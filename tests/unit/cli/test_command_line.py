@@ -7,6 +7,7 @@ import platform
 import signal
 import subprocess
 import sys
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import get_args
@@ -102,8 +103,12 @@ def test_an_option_that_a_command_lacks_is_named_beside_those_it_has(
 )
 def test_an_interrupted_command_says_whether_it_resumes(command: str, says: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "spec.yaml")
+    # A suite that a shell runs in the background ignores SIGINT, and so would its children.
     running = subprocess.Popen(
-        [sys.executable, "-m", "shift3d", command, str(tmp_path)], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "shift3d", command, str(tmp_path)],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     )
     with (tmp_path / "spec.yaml").open("w"):  # opens once the command reads it
         running.send_signal(signal.SIGINT)
