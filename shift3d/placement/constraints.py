@@ -115,11 +115,11 @@ def check(
     or a kerb beside it carries nothing.
     """
     places = places_near(points, theta, size_m, box=box)
-    under = (places[:, :2].abs() <= size_m[:2] / 2).all(-1) & (places[:, 2] <= 0.0)
     with torch.no_grad():
-        deepest, nearest = _least(field.estimate(places), under)
-        if nearest > field.bfloat16_band_m:  # both are exact up to there
-            deepest, nearest = _least(field(places), under)
+        metric = field(places).double()
+    deepest = float(metric.min()) if len(metric) else float("inf")
+    under = (places[:, :2].abs() <= size_m[:2] / 2).all(-1) & (places[:, 2] <= 0.0)
+    nearest = float(metric[under].abs().min()) if bool(under.any()) else float("inf")
     return ConstraintCheck(
         deepest,
         nearest,
@@ -129,12 +129,6 @@ def check(
         object_points >= limits.min_object_points,
         is_clear(theta, others, limits.clear_m),
     )
-
-
-def _least(metric: Tensor, under: Tensor) -> tuple[float, float]:
-    """The least distance (M,), and the least |distance| under the object (M,) bool; infinity where there is none."""
-    deepest = float(metric.min()) if len(metric) else float("inf")
-    return deepest, float(metric[under].abs().min()) if bool(under.any()) else float("inf")
 
 
 def is_clear(theta: Tensor, others: Tensor | None, clear_m: float) -> bool:

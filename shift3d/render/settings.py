@@ -14,6 +14,7 @@ SMALLEST_SCALE_M = 0.5
 
 LEAST_STEP_M = 1e-5
 """Shortest `step_m` (our choice): below it, a search for what lies between two samples takes hours."""
+
 _POSITIVE = (
     *("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations"),
     *("approach_slope", "grazing_m", "batch"),
