@@ -24,7 +24,7 @@ SUB_RAY_SHARE = 2.0 / 3.0
 """Angle of the six outer sub-rays, as a share of the cone's half angle. All seven sub-rays have equal weight (our
 choice). In a disc cut into a middle and six sectors of equal area, the sectors' centroids lie at 0.70 of the radius."""
 LEAST_FOOTPRINT_M = 0.02
-"""A cone no wider than this at that range counts as a line (our choice: the usual range noise)."""
+"""A cone no wider than this at `OBJECT_FAR_M` counts as a line (our choice: the usual range noise)."""
 
 
 class Divergence(Effect):
