@@ -34,9 +34,8 @@ class Divergence(Effect):
     cosine / range^2; nearer than `OVERLAP_FROM_M` it has the power of that range. A sub-ray that misses the object
     meets the beam's former surface, at its range, at normal incidence; a sub-ray of a no-return beam meets nothing.
     Echoes within `PULSE_M` of the next echo merge. The group of most power is the return, at its mean range weighted by
-    power. If the object has at least half of that power, the point lies on the axis at that range. Otherwise the row
-    gets the scene's own point again. If all seven merge on the object, the cone is on one face and the axis's hit
-    stays.
+    power. If the object has at least half of that power, the point lies on the axis at that range. Else the row gets
+    the scene's point again. If all seven merge on the object, the cone is on one face: the axis's hit stays.
 
     In changed rows `cosine` is the mean weighted by power, and `albedo` contains the object's share of the cone. Their
     product is the light that the object sends back.

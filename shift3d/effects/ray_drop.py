@@ -32,9 +32,8 @@ class RayDrop(Effect):
     Leaves unchanged: points, reflectance, rows off the object or without a return. An infinite limit loses nothing.
 
     Differentiable: kept points keep their gradients. The gradient treats each echo as kept or lost for good: it ignores
-    the dependence on range, incidence and material.
-
-    Source: the power law and least power of LISA (Kilic et al. 2021); width of the transition: our choice.
+    the dependence on range, incidence and material. Source: the power law and least power of LISA (Kilic et al. 2021);
+    width of the transition: our choice.
     """
 
     name = "ray_drop"

@@ -23,9 +23,8 @@ class Reflectance(Effect):
 
     Leaves unchanged: points, the set of rows with a return, and the reflectance of rows that are not on the object.
 
-    Not differentiable: albedo and cosine are constants; no gradient reaches pose or code.
-
-    Source: Lambert's law; our choice of convention.
+    Not differentiable: albedo and cosine are constants; no gradient reaches pose or code. Source: Lambert's law; our
+    choice of convention.
     """
 
     name = "reflectance"

@@ -17,9 +17,8 @@ class SecondReturns(Effect):
     Leaves unchanged: points, reflectance, and every row that is not on the object.
 
     Differentiable: kept points keep their gradients; the removal of a row carries none. A removed row stays removed:
-    the surface stops the light even if another effect loses the surface's own echo later.
-
-    Source: two returns a beam, an opaque object; pairing by pixel is our choice.
+    the surface stops the light even if another effect loses the surface's own echo later. Source: two returns a beam,
+    an opaque object; pairing by pixel is our choice.
     """
 
     name = "second_returns"

@@ -16,9 +16,8 @@ from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.field.object_field import VehicleFrame
 
 PAINT_ALBEDO, GLASS_ALBEDO, TYRE_ALBEDO = 0.4, 0.05, 0.04
-"""Diffuse albedos, near infrared, our choice. Paint: mid grey, the procedural street's default for its vehicles.
-Glass lets most of the light through and mirrors the rest away; dirt and tint alone scatter back. Rubber absorbs
-nearly all."""
+"""Diffuse albedos, near infrared, our choice. Paint: mid grey, the procedural street's default for its vehicles. Glass
+lets most of the light through and mirrors the rest away; dirt and tint scatter back. Rubber absorbs nearly all."""
 DARKEST_ALBEDO = min(PAINT_ALBEDO, GLASS_ALBEDO, TYRE_ALBEDO)
 
 EDGE_M = 0.04

@@ -34,9 +34,8 @@ def echo_power(albedo: Tensor, cosine: Tensor, range_m: Tensor) -> Tensor:
     Args:
         albedo: (K,) in [0, 1]. cosine: (K,) of incidence, in [0, 1]. range_m: (K,), metres.
 
-    Returns: (K,) in 1/m^2; 0 for any range below 0.9 m. Differentiable w.r.t. all three.
-
-    Source: reference equations of echo power (Rasshofer et al. 2011); constant as in `least_power`.
+    Returns: (K,) in 1/m^2; 0 for any range below 0.9 m. Differentiable w.r.t. all three. Source: reference equations of
+    echo power (Rasshofer et al. 2011); constant as in `least_power`.
     """
     return albedo * cosine * overlap(range_m) / range_m.clamp(min=OVERLAP_FROM_M) ** 2
 
@@ -84,8 +83,7 @@ def reach_m(conditions: Conditions) -> float:
 class PowerLimit:
     """Losses caused by one effect that weakens echoes.
 
-    sensor, least: the sensor and its least power, 1/m^2. shared, own: (N,) draws, see `survival_draws`; None if
-    unlimited.
+    sensor, least: the sensor and its least power, 1/m^2. shared, own: (N,) draws, see `survival_draws`; None: no limit.
     """
 
     sensor: SensorModel

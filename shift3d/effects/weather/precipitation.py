@@ -250,21 +250,19 @@ class Precipitation(WeatherEffect):
     covers the share (D / width)^2 of the beam. Particles that exceed the echo behind them form a Poisson process along
     the beam (`crossings`). The nearest becomes the return, with the probability 1 - exp(-Lambda). Only the first return
     of a beam can show it: a later return that it exceeds is lost (our choice). Its echo is not from the object
-    (`on_object` False) and has cosine 1 and the apparent albedo of its power. All others weaken the echo behind them by
-    their mean extinction.
+    (`on_object` False) and has cosine 1 and the apparent albedo of its power. All other particles weaken the echo
+    behind them by their mean extinction.
 
     Echoes of surfaces are lost below the sensor's least power, if that is known, and their ranges scatter by
     `extra_noise_m` along the beam. Reflectance and albedo become those seen through the particles. Leaves unchanged:
-    directions, cosine of surfaces, rows without a return (particles before the sky are left out). A rate of 0 changes
-    nothing.
+    directions, cosine of surfaces, rows without a return (no particles before the sky). A rate of 0 changes nothing.
 
     With fog and each other: each effect acts on the result of the one before. Extinctions add up as they should; the
     weather in front of a particle does not weaken the particle's echo.
 
     Differentiable: surfaces keep their gradients. The gradient ignores the loss and replacement of echoes and the
-    noise's dependence on the range; points of particles, reflectance and albedo carry none.
-
-    Source: Kilic et al. 2021 (limit and noise); the rest: our choice.
+    noise's dependence on the range; points of particles, reflectance and albedo carry none. Source: Kilic et al. 2021
+    (limit and noise); the rest: our choice.
     """
 
     def __init__(self, name: str, particles: Callable[[float], Particles]) -> None:

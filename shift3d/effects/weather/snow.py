@@ -8,7 +8,7 @@ FLAKE_WIDTH = 2.1
 """Width of a flake, as a disc without holes, over that of its melted drop. Our choice: 1 mm/h then gives a visibility
 of 0.9 km and 2.5 mm/h of 0.6 km; weather services bound moderate snow by 1 km and 0.5 km."""
 FLAKE_ALBEDO = 0.25
-"""Albedo of a diffuse disc with the same backscatter: 2 pi / 25, by ice crystals' ratio of extinction to backscatter,
+"""Albedo of a diffuse disc with the same backscatter: 2 pi / 25, from ice crystals' ratio of extinction to backscatter,
 some 25 sr (our choice)."""
 
 

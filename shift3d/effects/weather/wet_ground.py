@@ -72,7 +72,7 @@ class WetGround(WeatherEffect):
     Leaves unchanged: points, directions, the object, everything above the ground, and scenes whose points contain their
     weather. No rain changes nothing. Not differentiable.
 
-    Source: Fresnel transmission both ways (reference equations); diffuse light in the film: our choice (Lekner and Dorf
+    Source: Fresnel transmission both ways (reference equations); diffuse light inside: our choice (Lekner and Dorf
     1988).
     """
 
