@@ -21,10 +21,10 @@ def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
     """Estimate the height of the ground, metres, scene frame, rounded to 1 cm.
 
     Finds the fullest 5 cm layer between 4 and 12 m from the sensor within 0.35 m of the nominal height. Returns the
-    median of the points within 15 cm of that layer, or the nominal height if fewer than 500 points lie there.
+    median of the points within 15 cm of that layer, or the nominal height below 500 points. Source: our choice.
 
     Args:
-        points: (N, 3) scene frame, origin at the sensor. nominal_z_m: minus the sensor's height. Source: our choice.
+        points: (N, 3) scene frame, origin at the sensor. nominal_z_m: minus the sensor's height above the ground.
     """
     distance = np.hypot(points[:, 0], points[:, 1])
     z = points[(distance > _NEAR_M) & (distance < _FAR_M), 2].astype(np.float64)

@@ -127,8 +127,8 @@ class Fog(WeatherEffect):
 
     Also changes reflectance, as a sensor reports it (power times range squared), and albedo, which becomes the apparent
     albedo through the fog, so that later effects weaken the rest. Leaves unchanged: directions, cosine of surfaces,
-    points that the fog does not outshine, rows without a return (no fog before the sky). Unlimited visibility changes
-    nothing.
+    points that the fog does not outshine, rows without a return (fog in front of the sky is neglected). Unlimited
+    visibility changes nothing.
 
     With rain and snow: each effect acts on the result of the one before. Extinctions add up as they should. Two things
     are left out: the fog's extinction on echoes of drops and flakes in front of the surface, and the rain's extinction

@@ -255,7 +255,8 @@ class Precipitation(WeatherEffect):
 
     Echoes of surfaces are lost below the sensor's least power, if that is known, and their ranges scatter by
     `extra_noise_m` along the beam. Reflectance and albedo become those seen through the particles. Leaves unchanged:
-    directions, cosine of surfaces, rows without a return (no particles before the sky). A rate of 0 changes nothing.
+    directions, cosine of surfaces, rows without a return (particles in front of the sky are neglected). A rate of 0
+    changes nothing.
 
     With fog and each other: each effect acts on the result of the one before. Extinctions add up as they should; the
     weather in front of a particle does not weaken the particle's echo.

@@ -30,9 +30,9 @@ class StreetOptions:
         sensors: 1, or up to 5: short-range ones at the corners, front left, front right, rear left, rear right. Points
             then have no pixels.
         ego_speed_m_s: along +x during the turn.
-        motion_compensated: points at time 0, origins follow the sensor; otherwise in the firing sensor's frame.
+        motion_compensated: points at time 0, origins follow the sensor; otherwise in the sensor frame at firing time.
         traffic: "family": vehicles of the embedded family; "wide": of the wide family's seen kinds, no two alike;
-            "held_out": every second one of a kind that training never sees, see `vehicles.family.split`.
+            "held_out": every second vehicle of a kind that training never sees, see `vehicles.family.split`.
         beams: one of :data:`BEAM_NAMES`: that sensor scans the street from the position of the street's own sensor,
             which determines the layout; None: its own sensor does.
 

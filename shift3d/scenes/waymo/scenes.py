@@ -39,7 +39,8 @@ class WaymoScenes(RecordedScenes):
     """Frames under a folder or bucket with ``{component}/{segment}.parquet``.
 
     Args:
-        root: holds lidar/, lidar_calibration/, lidar_pose/, vehicle_pose/; lidar_box/ and stats/ are optional.
+        root: holds lidar/, lidar_calibration/, lidar_pose/, vehicle_pose/, and optionally lidar_box/ (labels) and
+            stats/ (weather).
         names: ``SEGMENT-TIMESTAMP`` of the frames to use; None: every frame, in order.
         count: maximum number of frames; the search stops there.
         lasers: names of the sensors to use, from `LASERS`.
