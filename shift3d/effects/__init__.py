@@ -1,1 +1,1 @@
-"""Effects beyond the first hit, one file each; nothing here is imported unless a scene calls for it."""
+"""Sensor and weather effects that act after the first hit, one file each. A scene imports only the effects it needs."""

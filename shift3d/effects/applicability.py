@@ -1,4 +1,4 @@
-"""Which effects a scene calls for; no effect is imported here that the scene has no data for."""
+"""Selection of the effects of a scene. An effect's module is imported only if the scene has the data for the effect."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from shift3d.effects.base import Effect
 
 MEASURED_IMPACT = Path(__file__).resolve().parent / "measured" / "effects.json"
-"""The impact of each effect as measured by `sweeps/effects.yaml`."""
+"""File of the measured impact of each effect; the sweep `sweeps/effects.yaml` measures it."""
 IMPACT_BOUND = 0.01
-"""`auto` leaves an effect out whose mean change of a score lies below this with 95 % confidence (our choice: half of
-what a score may differ from its reference, and the AUC that two presets may differ by)."""
+"""`auto` leaves out an effect if its mean change of a score lies below this bound with 95 % confidence. Our choice:
+half of a score's permitted difference from its reference; two presets may differ in AUC by as much."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """What an effect needs of a scene. lacking: what to say where it is not there, and how to supply it.
-    by_reader: called for by detectors alone that read more than coordinates."""
+    """Data that an effect needs from a scene. lacking: message if the data are missing; remedy: way to supply them.
+    by_reader: the effect applies only to detectors that read more than coordinates."""
 
     present: Callable[[SceneFacts], bool]
     lacking: str
@@ -37,7 +37,7 @@ class Need:
 _MOVING = "neither firing times with a velocity of the sensor, nor with a speed of the object"
 
 NEEDS: Mapping[str, Need] = {
-    # In the order in which they act.
+    # In the order in which the effects act.
     "origins": Need(lambda scene: scene.origins > 1, "all beams start in one place"),
     "no_return_beams": Need(lambda scene: scene.no_return_beams > 0, "it does not know its beams without a return"),
     "rolling_shutter": Need(
@@ -75,19 +75,19 @@ NEEDS: Mapping[str, Need] = {
         lambda scene: scene.sensor.range_noise_m is not None, "it states no range noise", "Give effects.range_noise_m"
     ),
 }
-"""Every effect by its name, in the order of the physics, with the data without which it means nothing."""
+"""All effects by name, in the order of the physics, each with the data that it needs."""
 _WEATHER = ("wet_ground", "fog", "rain", "snow")
 
 
 def _ego_moves(scene: SceneFacts) -> bool:
-    """Whether the sensor's motion is in the points: compensated ones have origins that follow it."""
+    """True if the points contain the sensor's motion. Origins of compensated points follow the sensor instead."""
     return not scene.conditions.motion_compensated and any(scene.conditions.ego_velocity_m_s or ())
 
 
 @dataclass(frozen=True)
 class MeasuredImpact:
-    """The measured impact of an effect. score_change: mean |change| of a score, with its 95 % interval;
-    milliseconds: a rendering, beyond the rendering without it."""
+    """Measured impact of an effect. score_change: mean |change| of a score; low, high: its 95 % interval; milliseconds:
+    extra time of a rendering with the effect."""
 
     score_change: float
     low: float
@@ -96,13 +96,13 @@ class MeasuredImpact:
 
     @property
     def matters(self) -> bool:
-        """Whether the change cannot be said to lie below the bound."""
+        """True unless the whole 95 % interval of the change lies below the bound."""
         return not self.high < IMPACT_BOUND
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One effect for one scene: used or not, and why."""
+    """Decision about one effect for one scene, with its reason."""
 
     effect: str
     used: bool
@@ -111,12 +111,12 @@ class Choice:
 
 
 def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
-    """Effects for a scene, in their order; those that the scene has no data for are not mentioned.
+    """Choose the effects of a scene, in the order of `NEEDS`. The list omits effects that the scene has no data for.
 
     Args:
-        wanted: "auto", "none", or names: these are used whether the scene calls for them or not.
+        wanted: "auto", "none", or names. Named effects are used even if the scene does not call for them.
 
-    Raises InputError: an unknown name; an effect that the scene has no data for.
+    Raises InputError: an unknown name, or an effect that the scene has no data for.
     """
     if wanted == "auto":
         return _applicable(scene, detector)
@@ -154,14 +154,14 @@ def _applicable(scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
 
 
 def effect_named(name: str) -> Effect:
-    """The effect of a name in `NEEDS`; its module is imported here."""
+    """Return the effect of a name in `NEEDS`. Imports the effect's module."""
     effect: Effect = importlib.import_module(f"shift3d.effects.{'weather.' if name in _WEATHER else ''}{name}").EFFECT
     return effect
 
 
 @functools.cache
 def measured_impact() -> dict[str, MeasuredImpact]:
-    """Measured impacts by name of the effect; those that were not measured are missing."""
+    """Load the measured impacts by name of the effect. Effects without a measurement are missing."""
     if not MEASURED_IMPACT.is_file():
         return {}
     values: dict[str, Any] = json.loads(MEASURED_IMPACT.read_text(encoding="utf-8"))["effects"]

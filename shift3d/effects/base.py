@@ -1,11 +1,10 @@
-"""What an effect is: when a scene calls for it, and what it does to beams or to what they bring back.
+"""Interface of an effect: a test of its applicability to a scene, and a step that changes beams or returns.
 
-Three kinds, in the order of the physics:
+Three kinds of steps, in the order of the physics:
 
-cast        changes from where and in which directions beams meet the object; once for an attack.
-footprint   looks at more than a beam's axis; after each insertion, on the beams that need it.
-returns     changes what comes back; on the beams that an insertion touched, and once on the whole scene where the
-            effect is not in the scene's own points yet.
+cast        changes the origins and directions in which beams meet the object; runs once for an attack.
+footprint   considers a beam's whole cone; runs after each insertion, on the beams that need it.
+returns     changes returns; runs on the beams that hit the object, and once on the whole scene if it lacks the effect.
 """
 
 from __future__ import annotations
@@ -34,15 +33,15 @@ Kind = Literal["cast", "footprint", "returns"]
 
 @dataclass(frozen=True)
 class EffectContext:
-    """What stays the same over an attack.
+    """Data that stay constant over an attack.
 
     Attributes:
-        scene: as the settings describe it (weather, sensor).
-        beams: as they are cast, see `Cast`; N rows, the scene's points first.
+        scene: the scene with the settings (weather, sensor) applied.
+        beams: beams as they are cast, see `Cast`; N rows, the scene's points first.
         vehicle: frame and size of the object.
-        seed: of everything random.
-        object_speed_m_s: of the object, along its heading.
-        heading_rad: of the object where it was placed, counter-clockwise from the scene's +x.
+        seed: seed of all random draws.
+        object_speed_m_s: speed of the object along its heading.
+        heading_rad: heading of the object at its placement, counter-clockwise from the scene's +x.
     """
 
     scene: Scene
@@ -54,7 +53,7 @@ class EffectContext:
 
     @functools.cached_property
     def reflectance(self) -> Tensor | None:
-        """(N,) float64 of the scene's points, 0 of rows beyond them; None where the scene has none."""
+        """Reflectance (N,) float64 of the scene's points, 0 in rows beyond the points; None if the scene has none."""
         values = self.scene.reflectance
         if values is None:
             return None
@@ -62,23 +61,23 @@ class EffectContext:
         return torch.cat((known, known.new_zeros(len(self.beams) - len(known))))
 
     def draws(self, effect: str, what: str = "") -> np.random.Generator:
-        """A fresh generator of one effect's randomness.
+        """Return a fresh random generator for one effect.
 
-        Draw one value for EVERY row of `beams`, then pick: so that a beam gets the same draw on whatever it meets,
-        and neither the order of tasks nor the number of hits changes anything.
+        Draw one value for EVERY row of `beams`, then select. A beam then gets the same draw whatever the beam meets,
+        and the result depends neither on the order of tasks nor on the number of hits.
         """
         return generator("effect", effect, what, self.seed)
 
 
 @dataclass(frozen=True)
 class Cast:
-    """How beams meet the object.
+    """Beams as they are cast at the object.
 
     Attributes:
-        beams: N rows; rows beyond the scene's points are beams that had no return, resting `NO_RETURN_M` out.
-        shift_m: (N, 3) float64 or None: by how much the object is displaced, scene frame, at the time that the beam
-            fires. The beams that are cast are displaced the other way; hits are moved back by it.
-        no_return: (N,) bool or None: rows without a return unless they meet the object.
+        beams: N rows. Rows beyond the scene's points are no-return beams; their points lie `NO_RETURN_M` away.
+        shift_m: (N, 3) float64 or None: displacement of the object at the beam's firing time, scene frame. Beams are
+            cast displaced by -shift_m; hits are moved back by shift_m.
+        no_return: (N,) bool or None: rows that have a return only if they meet the object.
     """
 
     beams: Beams
@@ -88,19 +87,19 @@ class Cast:
 
 @dataclass(frozen=True)
 class Returns:
-    """What some beams bring back, K rows.
+    """Returns of K beams.
 
     Attributes:
         row: (K,) int64, rows of `EffectContext.beams`, ascending.
-        points: (K, 3) float64, scene frame, metres; differentiable where on the object.
-        origins, directions: (K, 3) float64, of the beams as the sensor knows them (unit directions).
-        on_object: (K,) bool: from the inserted object. Not the scene's own.
-        returned: (K,) bool: whether anything comes back. Rows without a return keep their place and are ignored.
-        cosine: (K,) float64 in [0, 1], of incidence: on the object that of the axis with its surface; 1 elsewhere,
-            where it is unknown (and contained in the albedo).
-        albedo: (K,) float64 in [0, 1]: on the object by its material, elsewhere the scene's reflectance, or 0.3
-            where it has none (our choice: asphalt 0.1 to 0.2, paint up to 0.7).
-        reflectance: (K,) float64 in [0, 1], as the sensor reports it; None where the scene has none.
+        points: (K, 3) float64, scene frame, metres; differentiable if on the object.
+        origins, directions: (K, 3) float64, beam origins and unit directions as the sensor knows them.
+        on_object: (K,) bool: the return comes from the inserted object, not from the scene.
+        returned: (K,) bool: the beam has a return. Rows without a return keep their place and are ignored.
+        cosine: (K,) float64 in [0, 1], cosine of incidence. On the object: between beam axis and surface. Elsewhere: 1,
+            because the incidence is unknown (the albedo contains it).
+        albedo: (K,) float64 in [0, 1]. On the object: albedo of the material. Elsewhere: the scene's reflectance, or
+            0.3 if the scene has none (our choice: asphalt 0.1 to 0.2, paint up to 0.7).
+        reflectance: (K,) float64 in [0, 1], as the sensor reports it; None if the scene has none.
     """
 
     row: Tensor
@@ -118,28 +117,28 @@ class Returns:
 
     @property
     def range_m(self) -> Tensor:
-        """(K,) float64 along the beam; differentiable like the points."""
+        """Range (K,) float64 along the beam; differentiable like the points."""
         offset = (self.points - self.origins) * self.directions
-        return offset[:, 0] + offset[:, 1] + offset[:, 2]  # in a third of the time of a sum over rows of three
+        return offset[:, 0] + offset[:, 1] + offset[:, 2]  # takes a third of the time of a sum over rows of three
 
     def moved_to(self, range_m: Tensor, places: Tensor) -> Returns:
-        """With other ranges (M,) at places (M,) int64 among the rows; points elsewhere stay bit for bit."""
+        """Return a copy with ranges (M,) at indices `places` (M,) int64. All other points stay equal bit for bit."""
         moved = self.origins[places] + range_m[:, None] * self.directions[places]
         return replace(self, points=self.points.index_copy(0, places, moved)) if len(places) else self
 
     def without(self, rows: Tensor) -> Returns:
-        """Nothing comes back where rows (K,) bool says so."""
+        """Return a copy in which the rows of the mask (K,) bool have no return."""
         return replace(self, returned=self.returned & ~rows)
 
 
 @dataclass(frozen=True)
 class Insertion:
-    """One object as it has just been inserted.
+    """Inserted object after its rendering.
 
     Attributes:
-        beams: as they were cast. rendering: the first hits of their axes. field: of the object, `settings.dtype`.
-        theta: (6,) pose, scene frame, at the time that the scene belongs to. vehicle, settings: as in `render`.
-        shift_m: of the cast, see `Cast`. space: of this very field, where there is one.
+        beams: the beams as cast. rendering: first hits of the beam axes. field: the object's field, `settings.dtype`.
+        theta: (6,) pose at time 0 of the scene, scene frame. vehicle, settings: as in `render`.
+        shift_m: see `Cast`. space: SDF grid of this field, or None.
     """
 
     beams: Beams
@@ -152,7 +151,7 @@ class Insertion:
     space: SdfGrid | None = None
 
     def metric(self) -> ObjectField:
-        """The object's metric field, object frame."""
+        """Return the object's metric field, object frame."""
         return ObjectField.of(self.field, self.vehicle, self.settings.dtype, self.settings.batch)
 
 
@@ -162,10 +161,10 @@ ReturnsStep = Callable[[Returns], Returns]
 
 
 class Effect(ABC):
-    """One effect: a module of this package named like it has one as ``EFFECT``.
+    """One effect. The module of this package with the effect's name defines an instance ``EFFECT``.
 
-    kind: see the package. name: as settings have it. reads_incidence: whether `bind`'s step looks at `Returns.cosine`,
-    which costs a gradient of the field at every hit.
+    kind: see the module. name: name in the settings. reads_incidence: the step of `bind` reads `Returns.cosine`, which
+    costs a gradient of the field at every hit.
     """
 
     name: str
@@ -174,25 +173,25 @@ class Effect(ABC):
 
     @abstractmethod
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Why this scene calls for the effect, in a few words with figures; None where it does not.
+        """Return a short reason, with figures, for using the effect; None if the scene does not call for it.
 
-        Asked only where the scene, and the detector, have what the effect needs (`effects.applicability.NEEDS`).
+        Called only if scene and detector have the data that the effect needs (`effects.applicability.NEEDS`).
         """
 
     @abstractmethod
     def bind(self, context: EffectContext) -> CastStep | FootprintStep | ReturnsStep:
-        """The effect in one context: a step of its kind. Whatever is random is drawn here.
+        """Bind the effect to one context: return a step of its kind. `bind` makes all random draws.
 
-        A step leaves what it does not change as it is, bit for bit; at zero strength that is everything.
+        A step leaves equal bit for bit what it does not change. At zero strength it changes nothing.
         """
 
     def on_scene(self, context: EffectContext) -> bool:
-        """Whether a returns step is to be taken on the scene's own points too, in which most effects are already."""
+        """True if a returns step also runs on the scene's own points, which contain most effects already."""
         return False
 
 
 class WeatherEffect(Effect):
-    """What happens on the way of the light: to the scene's own points too, where they are those of clear, dry air."""
+    """Effect along the light path. It also changes the scene's own points if they were recorded in clear, dry air."""
 
     kind: Kind = "returns"
     reads_incidence = True
@@ -202,5 +201,5 @@ class WeatherEffect(Effect):
 
 
 def unchanged(returns: Returns) -> Returns:
-    """The step of an effect that has no strength."""
+    """Return the returns unchanged: the step of an effect of zero strength."""
     return returns

@@ -1,4 +1,4 @@
-"""An insertion with its effects, in the order of the physics."""
+"""Insertion of an object with its effects, in the order of the physics."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from shift3d.scenes.facts import EffectSettings, with_settings
 from shift3d.scenes.scene import Scene
 
 NO_RETURN_M = 1e4
-"""Where rows rest that bring nothing back, along their beam: beyond every detector's grid, so that the number and the
-order of rows never change (incremental inference and files rely on it)."""
+"""Distance along the beam at which rows without a return are placed. It lies beyond every detector's grid. The number
+and order of rows therefore never change, as incremental inference and files require."""
 SCENE_ALBEDO = 0.3
-"""Of the scene's own points where it has no reflectance."""
+"""Albedo of the scene's own points if the scene has no reflectance."""
 
 
 @dataclass
 class EffectChain:
-    """The effects of one task, bound to its scene. In place of `render`, see `EffectChain.render`.
+    """Effects of one task, bound to its scene. `EffectChain.render` takes the place of `render`.
 
-    beams: as they are cast, the scene's points first. names: of the effects, in their order.
+    names: effects in their order. cast: beams as they are cast, the scene's points first.
     """
 
     names: tuple[str, ...]
@@ -55,9 +55,9 @@ class EffectChain:
         settings: EffectSettings,
         heading_rad: float = 0.0,
     ) -> EffectChain:
-        """Bind effects (names in `NEEDS`, any order) to a scene. Differentiable: nothing.
+        """Bind effects (names in `NEEDS`, any order) to a scene. Not differentiable.
 
-        heading_rad: of the object where it was placed; which way it drives, if it does.
+        heading_rad: heading of the object at its placement, also its direction of travel.
         """
         scene = with_settings(scene, settings)
         ordered = tuple(name for name in NEEDS if name in names)
@@ -89,7 +89,7 @@ class EffectChain:
 
     @property
     def beams(self) -> Beams:
-        """The beams as they are cast."""
+        """Beams as they are cast."""
         return self.cast.beams
 
     def render(
@@ -100,18 +100,16 @@ class EffectChain:
         warm: WarmStart | None = None,
         space: SdfGrid | None = None,
     ) -> Rendering:
-        """Insert the object and let every effect act.
+        """Insert the object and apply every effect. Arguments as in `render.render`.
 
-        Arguments as of `render.render`. The result has a row for every beam that is cast.
-
-        Differentiable w.r.t. theta and the field's latent code through the points that stay on the object; that a
-        beam is dropped, or what else it meets, carries no gradient.
+        The result has a row for every cast beam. Differentiable w.r.t. theta and the field's latent code through the
+        points that stay on the object. The loss of a return and hits on anything else carry no gradient.
         """
         vehicle = self.context.vehicle
         core = render(self.beams, field, theta, vehicle, settings, warm, space)
         cast = self.cast
         if not self._footprints and not self._returns and cast.shift_m is None and cast.no_return is None:
-            return core  # nothing acts on what comes back, and every row is a point of the scene
+            return core  # no effect changes returns, and every row is a point of the scene
         insertion = Insertion(self.beams, core, field, theta, vehicle, settings, cast.shift_m, space)
         spent: dict[str, float] = {}
         returns = self._object_returns(insertion)
@@ -119,7 +117,7 @@ class EffectChain:
             start = time.perf_counter()
             returns = footprint(returns, insertion)
             spent[name] = 1e3 * (time.perf_counter() - start)
-        returns = _rows_of(returns, returns.on_object)  # what went back to the scene is the scene's business again
+        returns = _rows_of(returns, returns.on_object)  # rows that fell back to the scene take no part in the insertion
         for name, step in self._returns:
             start = time.perf_counter()
             returns = step(returns)
@@ -127,11 +125,11 @@ class EffectChain:
         return self._merged(core, returns, spent)
 
     def _object_returns(self, insertion: Insertion) -> Returns:
-        """What beams on the object bring back, if nothing else happens."""
+        """Return the returns on the object before any effect."""
         core, beams = insertion.rendering, self.beams
         row = core.hit_mask.nonzero().squeeze(1)
         cast_points, directions = core.points[row].double(), beams.directions[row]
-        # On the beam to more than the dtype of the scene's points: the same value, once rounded, and gradient.
+        # Puts the point on the beam in float64. Gradient and value after rounding to the scene's dtype stay the same.
         exact = beams.origins[row] + core.range_m[row, None] * directions
         cast_points = cast_points + (exact - cast_points).detach()
         cosine = core.grazing.cosine
@@ -148,7 +146,7 @@ class EffectChain:
         return Returns(row, points, self._origins()[row], directions, yes, yes, cosine, albedo, reflectance)
 
     def _scene_returns(self) -> Returns:
-        """The scene's own points, and rows without a return without a return."""
+        """Return the scene's own points as returns; no-return beams have no return."""
         beams, no_return = self.beams, self.cast.no_return
         count = len(beams)
         none = torch.zeros(count, dtype=torch.bool)
@@ -159,13 +157,13 @@ class EffectChain:
         return Returns(row, points, self._origins(), beams.directions, none, returned, ones, albedo, reflectance)
 
     def _resting(self) -> Tensor:
-        """(N, 3) the rows without the object, dtype of the scene's points; beams without a return far out."""
+        """Return the points (N, 3) before the insertion, dtype of the scene's; no-return beams are placed far away."""
         points = torch.from_numpy(self.context.scene.points)
         extra = torch.arange(len(points), len(self.beams))
         return torch.cat((points, self._far(extra).to(points.dtype)))
 
     def _merged(self, core: Rendering, returns: Returns, spent: dict[str, float]) -> Rendering:
-        """Rows of the object over the rows of the scene; what brings nothing back rests far out."""
+        """Write the object's rows over the scene's rows. Rows without a return are placed far away."""
         background, resting = self._background, self._resting()
         returned = torch.ones(len(resting), dtype=torch.bool)
         if self.cast.no_return is not None:
@@ -204,13 +202,13 @@ class EffectChain:
         return self._origins()[rows] + NO_RETURN_M * self.beams.directions[rows]
 
     def _origins(self) -> Tensor:
-        """(N, 3) where the beams start as the sensor knows them."""
+        """Return the beam origins (N, 3) as the sensor knows them."""
         shift = self.cast.shift_m
         return self.beams.origins if shift is None else self.beams.origins + shift
 
 
 def _rows_of(returns: Returns, kept: Tensor) -> Returns:
-    """Some of the rows, kept (K,) bool."""
+    """Select the rows of a mask (K,) bool."""
     if bool(kept.all()):
         return returns
     parts: dict[str, Any] = {name: None if part is None else part[kept] for name, part in vars(returns).items()}

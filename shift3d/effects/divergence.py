@@ -1,4 +1,4 @@
-"""A beam is a cone: where it meets a silhouette of the object, the strongest of its echoes counts."""
+"""Beam divergence: at a silhouette of the object the strongest echo of the beam's cone becomes the return."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from shift3d.render.render import render
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 PULSE_M = 0.75
-"""Echoes of one beam nearer to each other than this merge: c t / 2 of a pulse of 5 ns (our choice)."""
+"""Echoes of one beam closer together than this distance merge: c t / 2 of a pulse of 5 ns (our choice)."""
 SUB_RAY_SHARE = 2.0 / 3.0
-"""The six outer sub-rays run at this share of the cone's half angle, and all seven weigh the same (our choice): a disc
-cut into a middle and six sectors of equal area has the sectors' centroids at 0.70 of its radius."""
+"""Angle of the six outer sub-rays, as a share of the cone's half angle. All seven sub-rays have equal weight (our
+choice). In a disc cut into a middle and six sectors of equal area, the sectors' centroids lie at 0.70 of the radius."""
 LEAST_FOOTPRINT_M = 0.02
-"""A cone no wider than this at that range counts as a line (our choice: the usual range noise)."""
+"""A cone no wider than this at `OBJECT_FAR_M` counts as a line (our choice: the usual range noise)."""
 
 
 class Divergence(Effect):
-    """Beams whose cone crosses a silhouette, or touches the object that the axis misses, are looked at with 7 sub-rays.
+    """Beam divergence. A beam whose cone crosses a silhouette, or touches the object beside the axis, gets 7 sub-rays.
 
-    The axis and a hexagon about it, of equal weight, are cast by the same renderer. Each echo has the power
-    weight * albedo * cosine / range^2, nearer than `OVERLAP_FROM_M` that of this range; a sub-ray past the object meets
-    what the beam met before, at that range, head on (that of a no-return beam nothing). Echoes within `PULSE_M` of the
-    next one merge; the group of most power is the return, at the mean range by power. Where at least half of that power
-    is the object's, the point lies on the axis at that range; else the row is the scene's again, its own point. Where
-    all seven merge on the object, the cone lies on one face, and the axis's hit stays.
+    The renderer casts the axis and a hexagon around it, all of equal weight. Each echo has the power weight * albedo *
+    cosine / range^2; nearer than `OVERLAP_FROM_M` it has the power of that range. A sub-ray that misses the object
+    meets the beam's former surface, at its range, at normal incidence; a sub-ray of a no-return beam meets nothing.
+    Echoes within `PULSE_M` of the next echo merge. The group of most power is the return, at its mean range weighted by
+    power. If the object has at least half of that power, the point lies on the axis at that range. Else the row gets
+    the scene's point again. If all seven merge on the object, the cone is on one face: the axis's hit stays.
 
-    Of changed rows `cosine` is the mean by power, and `albedo` contains the share of the cone that is on the object:
-    their product is what the object sends back.
+    In changed rows `cosine` is the mean weighted by power, and `albedo` contains the object's share of the cone. Their
+    product is the light that the object sends back.
 
-    Leaves every other beam as it is, bit for bit; at zero divergence all of them. Nothing is random. Differentiable
-    w.r.t. pose and code through the ranges of the sub-rays; the gradient ignores that powers change, and which echoes
-    there are. Source: shared physics, Beam divergence; constants: as they state.
+    All other beams stay equal bit for bit; at zero divergence all beams do. Not random. Differentiable w.r.t. pose and
+    code through the ranges of the sub-rays. The gradient ignores changes of power and the set of echoes. Source: shared
+    physics, Beam divergence; the constants name their own sources.
     """
 
     name = "divergence"
     kind: Kind = "footprint"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """See `Effect`: where the cone is wider than `LEAST_FOOTPRINT_M` at the farthest place."""
+        """Return a reason if the cone is wider than `LEAST_FOOTPRINT_M` at the farthest placement."""
         width = OBJECT_FAR_M * (scene.sensor.divergence_rad or 0.0)
         if not width > LEAST_FOOTPRINT_M:
             return None
@@ -63,9 +63,9 @@ class Divergence(Effect):
 
 
 def strongest(range_m: Tensor, power: Tensor) -> Tensor:
-    """(C, S) bool: the echoes of the group of most power, the nearest of equal ones.
+    """Return the mask (C, S) of the echoes in the group of most power; of equal groups the nearest.
 
-    range_m, power: (C, S). A group ends where the next echo is more than `PULSE_M` farther. Not differentiable.
+    range_m, power: (C, S). A group ends if the next echo is more than `PULSE_M` farther. Not differentiable.
     """
     ordered, order = range_m.sort(dim=1, stable=True)
     group = torch.nn.functional.pad((ordered.diff(dim=1) > PULSE_M).long().cumsum(1), (1, 0))
@@ -76,9 +76,9 @@ def strongest(range_m: Tensor, power: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Verdict:
-    """What C beams bring back: (C,).
+    """Returns of C beams; all fields (C,).
 
-    object_wins: the return is the object's. whole: all of the cone lies on one face. range_m: differentiable.
+    object_wins: the return is the object's. whole: the whole cone lies on one face. range_m: differentiable.
     """
 
     object_wins: Tensor
@@ -89,12 +89,12 @@ class _Verdict:
 
     @staticmethod
     def of(range_m: Tensor, light: Tensor, cosine: Tensor, on_object: Tensor) -> _Verdict:
-        """The strongest group of merged echoes. Nothing to notice (no power at all): not the object's.
+        """Select the strongest group of merged echoes. Without any power the return is not the object's.
 
-        Args, each (C, 7), of the axis and six sub-rays:
+        Args, each (C, 7), for the axis and six sub-rays:
             range_m: differentiable. light: weight * albedo * cosine. cosine: of incidence; 1 off the object.
         """
-        # On the sensor itself, where the receiver sees nothing, 1 / range^2 has no bound.
+        # At the sensor itself the receiver sees nothing, but 1 / range^2 has no bound.
         power = light / range_m.detach().clamp_min(OVERLAP_FROM_M).square()
         kept = strongest(range_m.detach(), power)
         ours = kept & on_object
@@ -109,7 +109,7 @@ class _Verdict:
 
 @dataclass(frozen=True)
 class _Footprint:
-    """The step. angle_rad: between a sub-ray and the axis."""
+    """Footprint step. angle_rad: angle between a sub-ray and the axis."""
 
     context: EffectContext
     angle_rad: float
@@ -126,7 +126,7 @@ class _Footprint:
         return self._with_gained(result, rows, ~was_hit & verdict.object_wins, verdict, insertion)
 
     def _verdict(self, rows: Tensor, returns: Returns, insertion: Insertion) -> _Verdict:
-        """Cast the sub-rays of rows (C,); the axis has been. Differentiable through the ranges."""
+        """Cast the sub-rays of rows (C,); the axes are cast already. Differentiable through the ranges."""
         beams, count = insertion.beams, len(rows)
         starts, axis, ends = beams.origins[rows], beams.directions[rows], beams.ranges_m[rows]
         around = sub_rays(axis, self.angle_rad)
@@ -143,7 +143,7 @@ class _Footprint:
         return _Verdict.of(range_m, albedo * cosine / 7.0, cosine, on_object)
 
     def _returned_to_scene(self, returns: Returns, rows: Tensor) -> Returns:
-        """Rows that are the scene's again: their own points."""
+        """Give rows that fell back to the scene their own points."""
         if len(rows) == 0:
             return returns
         place = _places(returns, rows)
@@ -159,7 +159,7 @@ class _Footprint:
     def _with_gained(
         self, returns: Returns, rows: Tensor, gained: Tensor, verdict: _Verdict, insertion: Insertion
     ) -> Returns:
-        """With the rows whose axis misses the object and whose cone does not, in their order."""
+        """Add, in row order, the rows whose cone hits the object although their axis misses it."""
         if not bool(gained.any()):
             return returns
         row, shift = rows[gained], insertion.shift_m
@@ -173,16 +173,16 @@ class _Footprint:
         return _together(returns, Returns(row, points, origins, directions, yes, yes, cosine, albedo, reflectance))
 
     def _scene_albedo(self, rows: Tensor) -> Tensor:
-        """(C,) albedo of what beams met before; 0 of no-return beams."""
+        """Return the albedo (C,) of the surfaces behind the object; 0 for no-return beams."""
         if (known := self.context.reflectance) is not None:
             return known[rows]
         return SCENE_ALBEDO * (rows < len(self.context.scene.points)).double()
 
 
 def _cast(starts: Tensor, around: Tensor, ends: Tensor, insertion: Insertion) -> tuple[Tensor, Tensor]:
-    """(C, 6) ranges and whether on the object, of sub-rays around (C, 6, 3) from starts (C, 3) that end at ends (C,).
+    """Cast sub-rays `around` (C, 6, 3) from `starts` (C, 3) with end ranges `ends` (C,).
 
-    Differentiable w.r.t. pose and code through the ranges.
+    Returns ranges and the mask of hits on the object, (C, 6) each. The ranges are differentiable w.r.t. pose and code.
     """
     count = len(ends)
     origins, directions, ranges = starts.repeat_interleave(6, 0), around.reshape(-1, 3), ends.repeat_interleave(6)
@@ -195,12 +195,12 @@ def _cast(starts: Tensor, around: Tensor, ends: Tensor, insertion: Insertion) ->
 
 
 def _places(returns: Returns, rows: Tensor) -> Tensor:
-    """Where rows, all of which returns contain, stand in them."""
+    """Find the indices of `rows` in `returns.row`, which must contain all of them."""
     return torch.searchsorted(returns.row, rows)
 
 
 def _moved(returns: Returns, rows: Tensor, moved: Tensor, verdict: _Verdict) -> Returns:
-    """With the moved (C,) of rows (C,) at their new ranges."""
+    """Move the rows (C,) of the mask `moved` (C,) to their new ranges."""
     if not bool(moved.any()):
         return returns
     place = _places(returns, rows[moved])
@@ -212,7 +212,7 @@ def _moved(returns: Returns, rows: Tensor, moved: Tensor, verdict: _Verdict) -> 
 
 
 def _together(returns: Returns, more: Returns) -> Returns:
-    """Rows of both, ascending."""
+    """Join the rows of both, ascending."""
     order = torch.cat((returns.row, more.row)).argsort()
     parts: dict[str, Any] = {}
     for name, part in vars(returns).items():

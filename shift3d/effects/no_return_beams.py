@@ -1,4 +1,4 @@
-"""Beams without a return, which may meet the object."""
+"""No-return beams that may hit the object."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from shift3d.scenes.sensor import NoReturnBeams
 
 
 class NoReturnCast(Effect):
-    """Rows after the scene's points, one for each beam without a return, in the order of `Scene.no_return`.
+    """One row for each no-return beam after the scene's points, in the order of `Scene.no_return`.
 
-    They rest `NO_RETURN_M` out and return only where they meet the object. They start in their own places, unless the
-    points' beams are all cast from one place that is not their own (several sensors, without the effect `origins`):
-    then from that place too. Leaves the rows of the scene's points as they are, bit for bit; a scene that has none is
-    unchanged. Differentiable: a beam without a return that meets the object carries its gradient like any other.
+    A no-return beam is placed `NO_RETURN_M` away and returns only if it hits the object. It starts at its own origin,
+    with one exception: if the points' beams are all cast from one origin that is not their own (several sensors,
+    without the effect `origins`), it starts there too. The rows of the scene's points stay equal bit for bit. A scene
+    without no-return beams is unchanged. A no-return beam that hits the object carries its gradient like any other.
     Source: our choice: the paper moves returns alone.
     """
 
@@ -28,7 +28,7 @@ class NoReturnCast(Effect):
     kind: Kind = "cast"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
-        """Always: the facts do not tell where the beams point."""
+        """Return a reason in every case: the facts do not contain the directions of the beams."""
         return f"{scene.no_return_beams} beams without a return may meet the object"
 
     def bind(self, context: EffectContext) -> CastStep:
@@ -40,7 +40,7 @@ class NoReturnCast(Effect):
 
 
 def _with_rows(cast: Cast, no_return: NoReturnBeams, own: Tensor) -> Cast:
-    """The cast with rows without a return; own (N, 3): where the points' beams really start."""
+    """Append the no-return rows to the cast. own (N, 3): true origins of the points' beams."""
     beams, count = cast.beams, len(no_return)
     directions = torch.from_numpy(no_return.directions.copy()).double()
     directions = directions / directions.norm(dim=-1, keepdim=True)
@@ -49,7 +49,7 @@ def _with_rows(cast: Cast, no_return: NoReturnBeams, own: Tensor) -> Cast:
         origins = beams.origins[:1].expand(count, 3)
     places = torch.cat((beams.origins, origins))
     if bool((places == places[:1]).all()):
-        places = places[:1].expand(len(places), 3)  # a view of one place is culled faster
+        places = places[:1].expand(len(places), 3)  # culling is faster with a view of one row
     resting = (origins + NO_RETURN_M * directions).to(beams.points.dtype)
     yes = torch.ones(count, dtype=torch.bool)
     rows = Beams(

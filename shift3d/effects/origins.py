@@ -1,4 +1,4 @@
-"""Beams from each sensor's own place."""
+"""Beam origins at each sensor's own position."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
 class Origins(Effect):
-    """Every beam starts where its own sensor, or its own pixel's pose, was: `Scene.origins`, row by row.
+    """Start of every beam at the position of its own sensor, or of its own pixel's pose: `Scene.origins`, row by row.
 
-    Without it all beams start in the scene's origin, as from one sensor (`Beams.of_main_sensor`). Leaves the returns
-    and their order as they are; where all beams start in one place already, everything, bit for bit. Constant:
-    gradients are those of the first hits on the beams that are cast. Source: design section 6.
+    Without this effect all beams start at the scene's origin, as from one sensor (`Beams.of_main_sensor`). The returns
+    and their order stay the same. If all beams share one origin already, nothing changes, bit for bit. Constant:
+    gradients are those of the first hits of the cast beams. Source: design section 6.
     """
 
     name = "origins"
     kind: Kind = "cast"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
-        """Always, however small the distance between the places: the facts do not tell it."""
+        """Return a reason at any distance between the origins: the facts do not contain the distance."""
         return "its beams start in more than 1 place"
 
     def bind(self, context: EffectContext) -> CastStep:

@@ -1,4 +1,4 @@
-"""Returns of the object that are too weak to be detected."""
+"""Loss of the object's returns that are too weak to be detected."""
 
 from __future__ import annotations
 
@@ -13,29 +13,27 @@ from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.sensor import SensorModel
 
 STEEP_RAD = math.radians(80.0)
-"""Incidence that is asked about (our choice): the flatter a surface is met, the fewer beams meet it; few meet a car at
-more, beside its silhouette and on a roof or hood seen from their own height."""
+"""Incidence at which the applicability is tested (our choice). Few beams meet a car at a larger angle, except at its
+silhouette and on a roof or hood at the height of the sensor."""
 LEAST_LOSS = 0.01
-"""Share of lost echoes there below which nothing is to be seen: the weakest of the object's some hundred points."""
+"""Least share of lost echoes at that incidence that can show: the weakest of the object's some hundred points."""
 
 
 class RayDrop(Effect):
-    """An echo of the object comes back with the probability that its power gives, `power.survival`.
+    """Loss of weak echoes: an echo of the object stays with the probability of its power, `power.survival`.
 
-    power = albedo cos(incidence) / range^2 (`power.echo_power`), least power = 0.9 / limit_range_m^2; a row is kept
-    where its uniform draw lies below the probability (for power_spread 0: where the power suffices).
+    power = albedo cos(incidence) / range^2 (`power.echo_power`), least power = 0.9 / limit_range_m^2. A row is kept if
+    its uniform draw lies below the probability; for power_spread 0, if the power suffices.
 
-    In clear air: the extinction of fog, rain and snow is NOT applied here, their effects have decided on it before.
-    They lose the object's echoes by the same draws (`power.survival_draws`), so that judging twice takes no more than
-    judging once by the weaker of both powers.
+    The power is that of clear air: this effect does NOT apply the extinction of fog, rain and snow. The weather effects
+    have decided on it before, with the same draws (`power.survival_draws`). Both tests together therefore lose the same
+    echoes as one test with the weaker of both powers.
 
-    Left as they are: points, reflectance, rows that are not on the object, and those that bring nothing back already.
-    A limit infinitely far away loses nothing.
+    Leaves unchanged: points, reflectance, rows off the object or without a return. An infinite limit loses nothing.
 
-    Differentiable: points that stay keep their gradients. The gradient ignores that echoes come and go with range,
-    incidence and material: it sees each as kept or lost for good.
-
-    Source: the power law and least power of LISA (Kilic et al. 2021); width of the transition: our choice.
+    Differentiable: kept points keep their gradients. The gradient treats each echo as kept or lost for good: it ignores
+    the dependence on range, incidence and material. Source: the power law and least power of LISA (Kilic et al. 2021);
+    width of the transition: our choice.
     """
 
     name = "ray_drop"
@@ -43,7 +41,7 @@ class RayDrop(Effect):
     reads_incidence = True
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Where the darkest material, far out and at a flat angle, loses echoes to this sensor."""
+        """Return a reason if this sensor loses echoes of the darkest material far away at a steep angle."""
         limit_m = scene.sensor.limit_range_m
         if limit_m is None or not _has_limit(scene.sensor):
             return None
@@ -59,7 +57,7 @@ class RayDrop(Effect):
         )
 
     def bind(self, context: EffectContext) -> ReturnsStep:
-        """One uniform draw for every row of the beams."""
+        """Draw one uniform value for every row of the beams."""
         sensor = context.scene.sensor
         if sensor is None or not _has_limit(sensor):
             return unchanged
@@ -74,7 +72,7 @@ class RayDrop(Effect):
 
 
 def _has_limit(sensor: SensorModel) -> bool:
-    """Whether there is a least power above 0: the law takes its logarithm."""
+    """True if there is a least power above 0: the law takes its logarithm."""
     return sensor.limit_range_m is not None and math.isfinite(sensor.limit_range_m)
 
 

@@ -1,4 +1,4 @@
-"""Reflectance of the object's points, which otherwise keep that of what lay behind the object."""
+"""Reflectance of the object's points, which otherwise report that of the surface behind the object."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
 class Reflectance(Effect):
-    """albedo * cosine of incidence, on the object's rows.
+    """Reflectance of the object's rows: albedo * cosine of incidence.
 
-    Convention: reflectance is the echo's power times range squared, scaled so that a white diffuse (Lambertian)
-    surface met head on reports 1. Sensors correct their reading for range, which they measure, and not for
-    incidence, which they do not know; loaders scale it to 0..1.
+    Convention: reflectance is the echo's power times range squared, scaled so that a white diffuse (Lambertian) surface
+    at normal incidence reports 1. Sensors correct their reading for range, which they measure, but not for incidence,
+    which they do not know. Loaders scale the reading to 0..1.
 
-    No speckle: scenes state none, and a spread that only the procedural streets have (0.25 in factors of e, with the
-    square root of the cosine) would be a trace of its own in any other scene. The same rule as for range noise: what
-    a scene does not state is not added. Retroreflectors (plates, lamps), which report more than 1, are left out.
+    No speckle: scenes state none. Only the procedural streets have it (0.25 in factors of e, with the square root of
+    the cosine); in any other scene it would be an artefact. As for range noise: if a scene does not state it, it is not
+    added. Retroreflectors (plates, lamps), which report more than 1, are left out.
 
-    Left as they are: points, which rows return, and the reflectance of every row that is not on the object.
+    Leaves unchanged: points, the set of rows with a return, and the reflectance of rows that are not on the object.
 
-    Not differentiable: albedo and cosine are constants, and so is the result; no gradient reaches pose or code.
-
-    Source: Lambert's law; our choice of convention.
+    Not differentiable: albedo and cosine are constants; no gradient reaches pose or code. Source: Lambert's law; our
+    choice of convention.
     """
 
     name = "reflectance"
@@ -33,11 +32,11 @@ class Reflectance(Effect):
     reads_incidence = True
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
-        """Always."""
+        """Return the reason. The effect always applies."""
         return f"{detector.name} reads reflectance: moved points would report what they met before"
 
     def bind(self, context: EffectContext) -> ReturnsStep:
-        """Nothing is drawn."""
+        """Return the step. Draws nothing."""
         return _reported
 
 

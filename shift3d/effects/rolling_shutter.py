@@ -1,4 +1,4 @@
-"""Each beam meets the object where that is when the beam fires."""
+"""Rolling shutter: each beam meets the object at the object's position at the beam's firing time."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions
 
 ASSUMED_NOISE_M = 0.02
-"""Range noise of a sensor that states none. Our choice: what data sheets of spinning sensors give."""
+"""Range noise of a sensor that states none. Our choice: the usual value in data sheets of spinning sensors."""
 
 
 class RollingShutter(Effect):
-    """The object is displaced by d = v t at the time t that a beam fires; its pose belongs to time 0 of the scene.
+    """Displacement of the object by d = v t at a beam's firing time t. The object's pose is that of the scene's time 0.
 
-    v is the velocity of the object, less that of the sensor where points are not motion compensated: there each return
-    is given in the frame of the sensor as it fired. Compensated points have origins that follow the sensor, which is
-    the effect `origins`. Done by casting the beams displaced by -d and moving their hits back by d (`Cast.shift_m`),
+    v is the velocity of the object. If points are not motion compensated, each return is in the frame of the sensor at
+    its firing time, and the sensor's velocity is subtracted. Compensated points have origins that follow the sensor;
+    the effect `origins` uses them. Beams are cast displaced by -d and their hits are moved back by d (`Cast.shift_m`),
     so that a hit lies on the beam as the sensor knows it.
 
-    Leaves the returns that do not meet the object as they are; at velocity 0 everything, bit for bit. Differentiable
-    through the hits; the velocity is constant, along the heading at which the object was placed: a pose that turns does
-    not turn it, and no turning of the sensor during the scan is known. No-return beams without firing times meet the
-    object at its pose. Source: shared physics, x(t) = x0 + v (t - t_ref).
+    Returns that do not meet the object stay unchanged; at velocity 0 everything does, bit for bit. Differentiable
+    through the hits. The velocity is constant, along the heading at the placement: a change of yaw does not turn it,
+    and the sensor's rotation during the scan is not known. No-return beams without firing times meet the object at its
+    pose. Source: shared physics, x(t) = x0 + v (t - t_ref).
     """
 
     name = "rolling_shutter"
     kind: Kind = "cast"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """See `Effect`: where the displacement over a scan exceeds the range noise.
+        """Return a reason if the displacement over a scan exceeds the range noise.
 
-        The heading is not known here: speeds of object and sensor are added, so the displacement is an upper bound.
+        The facts do not contain the heading: the sum of both speeds gives an upper bound of the displacement.
         """
         speed = abs(scene.object_speed_m_s) + float(np.linalg.norm(_apparent(scene.conditions)))
         moved, noise = speed * scene.scan_s, scene.sensor.range_noise_m or ASSUMED_NOISE_M
@@ -58,14 +58,14 @@ class RollingShutter(Effect):
 
 
 def relative_velocity(context: EffectContext) -> NDArray[np.float64]:
-    """(3,) float64 m/s, scene frame: how fast the object moves in the frame in which points are given."""
+    """Compute the object's velocity (3,) float64, m/s, in the frame of the points, scene axes."""
     heading = context.heading_rad
     own: NDArray[np.float64] = context.object_speed_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])
     return own - _apparent(context.scene.conditions)
 
 
 def _apparent(conditions: Conditions) -> NDArray[np.float64]:
-    """(3,) velocity of the frame in which points are given, m/s, scene frame."""
+    """Return the velocity (3,) of the frame of the points, m/s, scene axes."""
     velocity = conditions.ego_velocity_m_s
     if conditions.motion_compensated or velocity is None:
         return np.zeros(3)
@@ -73,7 +73,7 @@ def _apparent(conditions: Conditions) -> NDArray[np.float64]:
 
 
 def _displaced(cast: Cast, times: Tensor, no_return_times: Tensor | None, velocity: Tensor) -> Cast:
-    """Beams moved against the object; times (N,) of the scene's points, then those of rows without a return."""
+    """Displace the beams against the object. times (N,): of the scene's points; no-return rows follow."""
     beams = cast.beams
     extra = len(beams) - len(times)
     if extra:

@@ -1,4 +1,4 @@
-"""Later returns of a beam that an inserted surface stops."""
+"""Removal of later returns of a beam that the inserted object stops."""
 
 from __future__ import annotations
 
@@ -8,29 +8,28 @@ from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
 class SecondReturns(Effect):
-    """One return a beam from an opaque object: later ones bring nothing back where an earlier one is on it too.
+    """Removal of a beam's later returns on the opaque object if an earlier return is on the object too.
 
-    An insertion moves every return whose beam meets the object; two returns of a beam behind it then lie in the same
-    place twice. Of those the earliest stays. Where the object is between two returns, only the later one is on it
-    and stays moved: the first passed the beam on in part, the object stops the rest.
+    An insertion moves every return whose beam hits the object, so that two returns from behind the object coincide on
+    it. The earliest stays. If the object lies between two returns, only the later one is on it and stays moved: the
+    first surface lets part of the beam pass, and the object stops the rest.
 
-    Left as they are: points, reflectance, and every row that is not on the object.
+    Leaves unchanged: points, reflectance, and every row that is not on the object.
 
-    Differentiable: points that stay keep their gradients; that a row is dropped carries none. It is dropped for good:
-    the surface stops the light whether or not its own echo is lost afterwards.
-
-    Source: two returns a beam, an opaque object; pairing by pixel is our choice.
+    Differentiable: kept points keep their gradients; the removal of a row carries none. A removed row stays removed:
+    the surface stops the light even if another effect loses the surface's own echo later. Source: two returns a beam,
+    an opaque object; pairing by pixel is our choice.
     """
 
     name = "second_returns"
     kind: Kind = "returns"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
-        """Always."""
+        """Return the reason. The effect always applies."""
         return f"{scene.returns} returns a beam: an opaque object in front of them sends back 1"
 
     def bind(self, context: EffectContext) -> ReturnsStep:
-        """Rows are paired here, once. Nothing is drawn."""
+        """Pair the rows, once. Draws nothing."""
         paired = BeamReturns.of(context)
         if paired is None:
             return unchanged

@@ -10,15 +10,11 @@ from shift3d.errors import InputError
 Float = NDArray[np.float64]
 
 CORNER_SIGNS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
-"""(4, 2) corners of a footprint, counter-clockwise from front left, in units of the half size."""
+"""Corners (4, 2) of a footprint in units of the half size, counter-clockwise from front left."""
 
 
 def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
-    """Refuse boxes that are not finite or have no volume.
-
-    Args:
-        boxes: (N, 7).
-        where: named in the error.
+    """Refuse boxes (N, 7) that are not finite or have no volume. where: source of the boxes, for the error.
 
     Raises InputError: naming the first offending row and column.
     """
@@ -37,7 +33,7 @@ def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
 
 
 def corners_bev(boxes: NDArray[np.floating]) -> Float:
-    """Footprints of boxes (N, 7) as (N, 4, 2) corners, counter-clockwise from front left."""
+    """Compute the footprint corners (N, 4, 2) of boxes (N, 7), counter-clockwise from front left."""
     boxes = np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
     local = CORNER_SIGNS * (boxes[:, None, 3:5] / 2.0)
     cos, sin = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
@@ -47,7 +43,7 @@ def corners_bev(boxes: NDArray[np.floating]) -> Float:
 
 
 def corners_3d(boxes: NDArray[np.floating]) -> Float:
-    """Corners (N, 8, 3) of boxes (N, 7): the footprint at the bottom, then at the top."""
+    """Compute the corners (N, 8, 3) of boxes (N, 7): the footprint at the bottom, then at the top."""
     boxes = np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
     footprint = corners_bev(boxes)
     bottom = np.broadcast_to((boxes[:, 2] - boxes[:, 5] / 2.0)[:, None, None], (len(boxes), 4, 1))
@@ -60,12 +56,12 @@ def corners_3d(boxes: NDArray[np.floating]) -> Float:
 def points_in_boxes(
     points: NDArray[np.floating], boxes: NDArray[np.floating], margin_m: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Which points lie in which boxes.
+    """Find which points lie inside which boxes.
 
     Args:
         points: (N, 3) in the frame of the boxes.
         boxes: (M, 7).
-        margin_m: each face is moved outwards by this much.
+        margin_m: distance by which each face is moved outwards.
 
     Returns: (M, N) bool; points on a face are inside.
     """
@@ -74,7 +70,7 @@ def points_in_boxes(
     x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
     for index, box in enumerate(np.asarray(boxes, dtype=np.float64).reshape(-1, 7)):
         half = box[3:6] / 2.0 + margin_m
-        reach = 1.000001 * float(np.hypot(half[0], half[1]))  # beyond it no rounding puts a point inside
+        reach = 1.000001 * float(np.hypot(half[0], half[1]))  # no rounding puts a point beyond it inside
         near = np.flatnonzero((np.abs(x - box[0]) <= reach) & (np.abs(y - box[1]) <= reach))
         offset = points[near, :3] - box[:3]
         cos, sin = np.cos(box[6]), np.sin(box[6])
@@ -86,6 +82,6 @@ def points_in_boxes(
 
 
 def count_in_boxes(points: NDArray[np.floating], boxes: NDArray[np.floating]) -> NDArray[np.int32]:
-    """How many points (N, 3) lie in each of the boxes (M, 7), (M,) int32."""
+    """Count the points (N, 3) inside each box (M, 7). Returns (M,) int32."""
     counts: NDArray[np.int32] = points_in_boxes(points, boxes).sum(axis=1, dtype=np.int32)
     return counts

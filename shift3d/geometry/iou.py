@@ -11,9 +11,9 @@ Float = NDArray[np.float64]
 
 
 def _overlap_areas(a: Float, b: Float) -> Float:
-    """Footprint intersection areas (P,) of boxes a (P, 7) and b (P, 7), pair by pair; exactly 0 where they are apart.
+    """Compute footprint intersection areas (P,) of boxes a (P, 7) and b (P, 7), pair by pair; exactly 0 if apart.
 
-    Box b is taken into the frame of box a, so that boxes far from the origin lose no digits.
+    Box b is transformed into the frame of box a, so that boxes far from the origin lose no digits.
     """
     half_a, half_b = a[:, 3:5] / 2.0, b[:, 3:5] / 2.0
     centre = _turned(b[:, :2] - a[:, :2], -a[:, 6])
@@ -32,18 +32,18 @@ def _turned(xy: Float, angle_rad: Float) -> Float:
 
 
 def _apart(centre: Float, turn_rad: Float, half: Float, half_other: Float) -> NDArray[np.bool_]:
-    """Whether an axis of a box at the origin separates it from another, which is centred there and turned so."""
+    """Return the mask of pairs that an axis of the box at the origin separates; centre, turn: of the other box."""
     cos, sin = np.abs(np.cos(turn_rad))[:, None], np.abs(np.sin(turn_rad))[:, None]
     apart = np.abs(centre) >= half + cos * half_other + sin * half_other[:, ::-1]
     return np.asarray(apart.any(axis=1))
 
 
 def _area_within(corners: Float, half: Float) -> Float:
-    """Areas (P,) of convex quadrilaterals (P, 4, 2), counter-clockwise, within |x| <= half_x, |y| <= half_y.
+    """Compute areas (P,) of convex quadrilaterals (P, 4, 2), counter-clockwise, within |x| <= half_x, |y| <= half_y.
 
-    Every point is moved to the nearest one of the rectangle: what is outside falls on its border, where it encloses
-    nothing, and the area that the moved outline encloses is that of the intersection. Between the places where an edge
-    crosses a line of the rectangle the moved edge is straight, so that the formula for polygons holds.
+    Every point is clipped to the nearest point of the rectangle. Outside parts fall on the rectangle's border and
+    enclose no area, so that the clipped outline encloses the area of the intersection. Between its crossings with the
+    rectangle's lines a clipped edge is straight, so that the polygon formula holds.
     """
     edges = np.roll(corners, -1, axis=1) - corners
     bounds = np.concatenate((half, -half), axis=1)[:, None, :]
@@ -61,7 +61,7 @@ def _area_within(corners: Float, half: Float) -> Float:
 
 
 def _pairs_in_reach(a: Float, b: Float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of the pairs whose circumscribed circles meet: only these can overlap."""
+    """Find the indices of pairs whose circumscribed circles meet: only these pairs can overlap."""
     reach = (np.hypot(a[:, 3], a[:, 4])[:, None] + np.hypot(b[:, 3], b[:, 4])[None, :]) / 2.0
     distance = np.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1])
     rows, columns = np.nonzero(distance <= reach)
@@ -73,7 +73,7 @@ def _as_boxes(boxes: NDArray[np.floating]) -> Float:
 
 
 def iou_bev(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
-    """Rotated intersection over union of footprints.
+    """Compute the rotated intersection over union of footprints.
 
     Args:
         a: (N, 7) boxes; b: (M, 7) boxes, same frame.
@@ -87,7 +87,7 @@ def iou_bev(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
 
 
 def iou_3d(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
-    """Rotated intersection over union of volumes (both upright): (N, M) float64 in [0, 1]."""
+    """Compute the rotated intersection over union of volumes (both upright): (N, M) float64 in [0, 1]."""
     a, b = _as_boxes(a), _as_boxes(b)
     rows, columns = _pairs_in_reach(a, b)
     top = np.minimum((a[:, 2] + a[:, 5] / 2.0)[rows], (b[:, 2] + b[:, 5] / 2.0)[columns])
@@ -97,7 +97,7 @@ def iou_3d(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
 
 
 def _over_union(overlap: Float, a: Float, b: Float, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float:
-    """(N, M) overlap over union, 0 but for some pairs. overlap: (P,) of these. a: (N,), b: (M,) areas or volumes."""
+    """Compute IoUs (N, M), 0 if not listed. overlap: (P,) of the listed pairs. a: (N,), b: (M,) areas or volumes."""
     result = np.zeros((len(a), len(b)))
     union = a[rows] + b[columns] - overlap
     result[rows, columns] = np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0.0)

@@ -1,6 +1,6 @@
-"""Rigid transforms as (4, 4) float64 matrices ``dst_SE3_src``, and the ways in which data sets write them.
+"""Rigid transforms as (4, 4) float64 matrices ``dst_SE3_src``, and conversions from the notations of data sets.
 
-Not differentiable. Poses of inserted objects, which are, live in `geometry.se3`.
+Not differentiable. The differentiable poses of inserted objects are in `geometry.se3`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from shift3d.errors import InputError
 
 Float = NDArray[np.float64]
 
-_TOLERANCE = 1e-3  # of R Rᵀ: published matrices and quaternions are float32, or rounded to six digits
+_TOLERANCE = 1e-3  # of R Rᵀ: published matrices and quaternions are float32 or rounded to six digits
 
 
 def from_quaternion(wxyz: NDArray[np.floating], translation_m: NDArray[np.floating], where: str) -> Float:
-    """Quaternions (..., 4), scalar first, and translations (..., 3), metres, as (..., 4, 4).
+    """Convert quaternions (..., 4), scalar first, and translations (..., 3), metres, to transforms (..., 4, 4).
 
     Raises InputError: a quaternion whose length differs from 1 by more than a thousandth, or NaN.
     """
@@ -37,7 +37,7 @@ def from_quaternion(wxyz: NDArray[np.floating], translation_m: NDArray[np.floati
 
 
 def rotation_of_angles(roll: NDArray[np.floating], pitch: NDArray[np.floating], yaw: NDArray[np.floating]) -> Float:
-    """Rz(yaw) Ry(pitch) Rx(roll) for angles (...) in radians: (..., 3, 3)."""
+    """Compute Rz(yaw) Ry(pitch) Rx(roll) for angles (...) in radians: (..., 3, 3)."""
     angles = (np.asarray(angle, np.float64) for angle in (roll, pitch, yaw))
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(angle), np.cos(angle)) for angle in angles)
     rows = (
@@ -49,7 +49,7 @@ def rotation_of_angles(roll: NDArray[np.floating], pitch: NDArray[np.floating], 
 
 
 def validate_rigid(dst_SE3_src: Float, where: str) -> None:
-    """Refuse what is no rotation with a translation.
+    """Refuse a matrix that is not a rotation with a translation.
 
     Raises InputError: NaN, a mirror image, or axes that are not at right angles and of length 1.
     """
@@ -57,13 +57,13 @@ def validate_rigid(dst_SE3_src: Float, where: str) -> None:
     with np.errstate(invalid="ignore", over="ignore"):
         askew = np.abs(rotation @ rotation.T - np.eye(3)).max()
         upright = np.abs(dst_SE3_src[3] - (0.0, 0.0, 0.0, 1.0)).max() <= _TOLERANCE
-    # Written so that NaN fails every comparison.
+    # NaN fails every comparison in this form.
     if not (askew <= _TOLERANCE and np.linalg.det(rotation) > 0.0 and upright and np.isfinite(dst_SE3_src).all()):
         raise InputError("a transform that is no rotation and translation", where, "Copy the file again.")
 
 
 def inverse(dst_SE3_src: Float) -> Float:
-    """src_SE3_dst of transforms (..., 4, 4)."""
+    """Invert transforms (..., 4, 4): src_SE3_dst."""
     turned = np.swapaxes(dst_SE3_src[..., :3, :3], -1, -2)
     result = np.zeros_like(dst_SE3_src)
     result[..., :3, :3] = turned
@@ -73,24 +73,24 @@ def inverse(dst_SE3_src: Float) -> Float:
 
 
 def moved(points: NDArray[np.floating], dst_SE3_src: Float) -> Float:
-    """Points (N, 3) of frame src in frame dst: one transform (4, 4), or one a point (N, 4, 4)."""
+    """Transform points (N, 3) from frame src to frame dst, by one transform (4, 4) or one a point (N, 4, 4)."""
     turned: Float = np.einsum("...ij,...j->...i", dst_SE3_src[..., :3, :3], np.asarray(points, np.float64))
     return turned + dst_SE3_src[..., :3, 3]
 
 
 def heading_of(dst_SE3_src: Float) -> Float:
-    """Heading of axis x of src in frame dst, (...) radians: counter-clockwise from +x, tilt dropped."""
+    """Compute the heading (...) of src's x axis in dst, radians: counter-clockwise from +x, without the tilt."""
     result: Float = np.arctan2(dst_SE3_src[..., 1, 0], dst_SE3_src[..., 0, 0])
     return result
 
 
 def interpolated(times: NDArray[np.int64], poses: Float, at: NDArray[np.int64]) -> Float:
-    """Poses at other times, for poses that lie so close together that a chord stands for an arc.
+    """Interpolate poses linearly. The poses must lie so close together that a chord can replace an arc.
 
     Args:
-        times: (K,) ascending, K >= 1. poses: (K, 4, 4). at: (N,) in the unit of times; held at both ends.
+        times: (K,) ascending, K >= 1. poses: (K, 4, 4). at: (N,) in the unit of times; constant beyond both ends.
 
-    Rotations are blended and made orthogonal again; error of 10 ms steps at 1 rad/s: below 1e-5 rad.
+    Rotations are blended and orthogonalized; the error for 10 ms steps at 1 rad/s is below 1e-5 rad.
     """
     after = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1)) if len(times) > 1 else np.zeros(len(at), int)
     before = np.maximum(after - 1, 0)

@@ -1,10 +1,10 @@
-"""Poses as the paper's six numbers, differentiable in torch.
+"""Six-parameter poses of the paper, differentiable in torch.
 
 A pose theta is (x, y, z, yaw, pitch, roll) of the object in the scene frame. The paper writes
-T(x; theta) = R(yaw) R(pitch) R(roll) [x - t] for the map from sensor to object and leaves the sense of the angles
-open. Our choice: yaw, pitch and roll are the object's own attitude (so that yaw is the heading of its box), the
-rotation of the object in the scene is Rz(yaw) Ry(pitch) Rx(roll), and the map from the scene to the object is its
-inverse: x_object = (Rz Ry Rx)^T (x_scene - t). By the right-hand rule about +y (left), positive pitch lowers the nose.
+T(x; theta) = R(yaw) R(pitch) R(roll) [x - t] for the map from sensor to object and leaves the sense of the angles open.
+Our choice: yaw, pitch and roll are the object's attitude, so that yaw is the heading of its box. The rotation of the
+object in the scene is Rz(yaw) Ry(pitch) Rx(roll), and the map from scene to object is its inverse: x_object = (Rz Ry
+Rx)^T (x_scene - t). By the right-hand rule about +y (left), positive pitch lowers the nose.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from torch import Tensor
 
 
 def scene_R_object(pose: Tensor) -> Tensor:
-    """Rotation that turns object axes into scene axes.
+    """Compute the rotation that turns object axes into scene axes.
 
     Args:
         pose: (6,) x, y, z in metres, yaw, pitch, roll in radians.
 
     Returns: (3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), dtype of ``pose``.
 
-    Differentiable with respect to ``pose`` (its translation does not enter).
-    Source: SHIFT3D supplement, Pose Transformation; sense of the angles: our choice, see the module.
+    Differentiable w.r.t. ``pose``; independent of its translation. Source: SHIFT3D supplement, Pose Transformation;
+    sense of the angles: our choice, see the module.
     """
     cy, cp, cr = torch.cos(pose[3:]).unbind()
     sy, sp, sr = torch.sin(pose[3:]).unbind()
@@ -37,7 +37,7 @@ def scene_R_object(pose: Tensor) -> Tensor:
 
 
 def object_from_scene(points: Tensor, pose: Tensor) -> Tensor:
-    """T(x; theta): scene points (N, 3) in the object frame (N, 3), metres.
+    """Transform scene points (N, 3) into the object frame (N, 3), metres: T(x; theta).
 
     Differentiable with respect to both arguments. Source: SHIFT3D supplement, Pose Transformation.
     """
@@ -46,11 +46,11 @@ def object_from_scene(points: Tensor, pose: Tensor) -> Tensor:
 
 
 def scene_from_object(points: Tensor, pose: Tensor) -> Tensor:
-    """Inverse of :func:`object_from_scene`: object points (N, 3) in the scene frame (N, 3), metres."""
+    """Transform object points (N, 3) into the scene frame (N, 3), metres: inverse of :func:`object_from_scene`."""
     return points @ scene_R_object(pose).T + pose[:3]
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """Return the same angle in [-pi, pi)."""
     wrapped = math.fmod(angle_rad + math.pi, 2.0 * math.pi)
     return wrapped + math.pi if wrapped < 0.0 else wrapped - math.pi

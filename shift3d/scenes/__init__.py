@@ -1,1 +1,1 @@
-"""Scenes: one LiDAR sweep with its labels, read from a recording or made by the procedural street."""
+"""Scenes: one LiDAR sweep with labels, read from a recording or generated as a procedural street."""

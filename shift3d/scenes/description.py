@@ -1,4 +1,4 @@
-"""What was found in a scene, in words."""
+"""Description of a scene's contents as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shift3d.wording import counted
 
 
 def scene_lines(scene: Scene) -> list[str]:
-    """``name: value`` lines of what a scene has, and of what it lacks."""
+    """Return ``name: value`` lines of the data that a scene has or lacks."""
     away = np.linalg.norm(scene.points.astype(np.float64) - scene.origins, axis=1)[scene.has_beam]
     low, middle, high = np.percentile(away, (5, 50, 95))
     lines = [

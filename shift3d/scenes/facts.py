@@ -1,4 +1,4 @@
-"""What is known of a scene without its points: enough to say which effects it calls for."""
+"""Facts of a scene without its points, enough to decide which effects it calls for."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from shift3d.scenes.sensor import SensorModel
 
 @dataclass(frozen=True)
 class EffectSettings:
-    """What is said about scenes in place of, or beyond, what they state themselves; None: nothing.
+    """Settings that replace or complete what scenes state; None: no change.
 
     Attributes:
-        visibility_m: fog of this meteorological optical range. rain_mm_h, snow_mm_h: rates of rain and snow.
-            Weather given here is not in the points yet: it is laid over the whole scene.
+        visibility_m: meteorological optical range of fog. rain_mm_h, snow_mm_h: rates of rain and snow. The effects
+            apply this weather to the whole scene, whose points do not contain it yet.
         range_noise_m, divergence_rad, limit_range_m, power_spread: of the sensor, see `SensorModel`.
-        object_speed_m_s: of the inserted object, along its heading.
+        object_speed_m_s: speed of the inserted object along its heading.
 
     Source: our choice.
     """
@@ -35,7 +35,7 @@ class EffectSettings:
     object_speed_m_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no scene can be. Raises InputError: naming the setting and the remedy."""
+        """Refuse values that no scene can have. Raises InputError: naming the setting and the remedy."""
         for name, value in self.overrides().items():
             strictly = name in _POSITIVE
             if name == "object_speed_m_s":
@@ -44,12 +44,12 @@ class EffectSettings:
             elif not np.isfinite(value) or value < 0.0 or (strictly and value == 0.0):
                 remedy = "Give a positive number" if strictly else "Give a finite number of at least 0"
                 raise InputError(f"{name} is {value}", "effects", remedy)
-        # A scene has these bounds too, and nobody validates it again once settings describe it.
+        # A scene has these bounds too; after the settings are applied it is not validated a second time.
         _sensor(SensorModel(), self.overrides()).validate("effects")
         _weather(Conditions(weather_in_points=False), self.overrides(), "").validate("effects")
 
     def overrides(self) -> dict[str, float]:
-        """The settings that are not None, by name."""
+        """Return the settings that are not None, by name."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
@@ -59,7 +59,7 @@ _SENSOR = {part.name for part in fields(SensorModel)}
 
 
 def with_settings(scene: Scene, settings: EffectSettings) -> Scene:
-    """The scene as the settings describe it; the scene itself where they say nothing about it."""
+    """Return the scene with the settings applied; the same scene if they change nothing."""
     overrides = settings.overrides()
     sensor = _sensor(scene.sensor or SensorModel(), overrides)
     if sensor != (scene.sensor or SensorModel()):
@@ -73,8 +73,8 @@ def _sensor(sensor: SensorModel, overrides: dict[str, float]) -> SensorModel:
 
 
 def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) -> Conditions:
-    """A recording's own weather may be given its rate, and stays in its points; it has no other. Of a street it is the
-    one that is given a rate above 0, else its own, dry where its own rate is 0."""
+    """Apply weather settings. A recording with weather in its points accepts only that weather's rate and keeps it in
+    the points. Other scenes get the weather with a rate above 0, else their own, or dry if that rate is set to 0."""
     about: dict[str, Any] = {name: overrides[name] for name in _WEATHER.values() if name in overrides}
     if not about:
         return conditions
@@ -96,7 +96,7 @@ _GROUND_SHARE = 0.02
 
 @dataclass(frozen=True)
 class DetectorFacts:
-    """What an effect asks about a detector. reads_reflectance: beside coordinates."""
+    """Facts of a detector that effects ask for. reads_reflectance: reads reflectance beside coordinates."""
 
     name: str
     reads_reflectance: bool = False
@@ -104,18 +104,18 @@ class DetectorFacts:
 
 @dataclass(frozen=True)
 class SceneFacts:
-    """A scene without its points.
+    """Facts of a scene without its points.
 
     Attributes:
-        scene_id: its name.
-        origins: number of different places that beams start from (two already stand for many).
-        returns: largest number of returns of a beam, as far as the scene numbers them; 1 where it does not.
-        no_return_beams: beams without a return that the scene knows of.
-        has_reflectance, has_pixels (range image indices): whether points carry them.
-        scan_s: from the first point's firing time to the last's; 0 where times are unknown.
+        scene_id: name of the scene.
+        origins: number of different beam origins (2 stands for any larger number).
+        returns: largest number of returns of a beam; 1 if the scene does not number them.
+        no_return_beams: number of no-return beams that the scene knows.
+        has_reflectance, has_pixels: the points have reflectance, range image indices.
+        scan_s: time from the first to the last firing; 0 if times are unknown.
         ground_in_view: at least one point in fifty lies near the nominal ground.
         sensor, conditions: as the scene states them.
-        object_speed_m_s: of the inserted object, along its heading.
+        object_speed_m_s: speed of the inserted object along its heading.
     """
 
     scene_id: str
@@ -132,7 +132,7 @@ class SceneFacts:
 
     @staticmethod
     def of(scene: Scene, settings: EffectSettings = NO_OVERRIDES) -> SceneFacts:
-        """The facts of a scene as settings describe it."""
+        """Collect the facts of a scene with the settings applied."""
         times = scene.time_s
         near_ground = np.abs(scene.points[:, 2] - scene.ground_z_m) < _GROUND_BAND_M
         stated = SceneFacts(
@@ -150,7 +150,7 @@ class SceneFacts:
         return stated.described(settings)
 
     def described(self, settings: EffectSettings) -> SceneFacts:
-        """These facts as settings describe the scene: `of` with them."""
+        """Return these facts with the settings applied, equal to `of` with the settings."""
         overrides = settings.overrides()
         if not overrides:
             return self

@@ -1,4 +1,4 @@
-"""The ground around a sensor: its height from a scene's points, and what a data set's map has of it."""
+"""Ground around a sensor: height estimated from a scene's points, and map of heights and drivable cells."""
 
 from __future__ import annotations
 
@@ -18,15 +18,13 @@ _LOWEST_M, _HIGHEST_M = -4.0, -0.4  # between a truck's roof and a small robot's
 
 
 def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
-    """Height of the ground, metres, scene frame, rounded to 1 cm.
+    """Estimate the height of the ground, metres, scene frame, rounded to 1 cm.
 
-    The fullest 5 cm layer between 4 and 12 m from the sensor, within 0.35 m of the nominal height, refined by the
-    median of the points within 15 cm of it. With fewer than 500 points there: the nominal height.
+    Finds the fullest 5 cm layer between 4 and 12 m from the sensor within 0.35 m of the nominal height. Returns the
+    median of the points within 15 cm of that layer, or the nominal height below 500 points. Source: our choice.
 
     Args:
-        points: (N, 3) scene frame, origin at the sensor. nominal_z_m: less the sensor's height above the ground.
-
-    Source: our choice.
+        points: (N, 3) scene frame, origin at the sensor. nominal_z_m: minus the sensor's height above the ground.
     """
     distance = np.hypot(points[:, 0], points[:, 1])
     z = points[(distance > _NEAR_M) & (distance < _FAR_M), 2].astype(np.float64)
@@ -40,14 +38,10 @@ def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
 
 
 def search_ground_z(points: NDArray[np.float32]) -> float | None:
-    """`estimate_ground_z` where the sensor's height is unknown; None where too few points lie below it.
+    """Run `estimate_ground_z` without a known sensor height. Returns None if too few points lie below the sensor.
 
     The nominal height is that of the fullest layer of 0.2 m between 4 and 12 m from the sensor, 0.4 to 4 m below it.
-
-    Args:
-        points: (N, 3) scene frame, origin at the sensor.
-
-    Source: our choice.
+    points: (N, 3) scene frame, origin at the sensor. Source: our choice.
     """
     distance = np.hypot(points[:, 0], points[:, 1])
     z = points[(distance > _NEAR_M) & (distance < _FAR_M), 2]
@@ -59,16 +53,16 @@ def search_ground_z(points: NDArray[np.float32]) -> float | None:
 
 Float = NDArray[np.float64]
 
-CELL_M, CELLS = 0.5, 240  # 60 m each way: vehicles stand within 50 m
+CELL_M, CELLS = 0.5, 240  # 60 m each way: placements lie within 50 m
 
 
 @dataclass(frozen=True)
 class GroundMap:
-    """Cells of 0.5 m of a square around the scene's origin: [i, j] begins at x = i / 2 - 60, y = j / 2 - 60 metres.
+    """Grid of 0.5 m cells around the scene's origin: cell [i, j] starts at x = i / 2 - 60, y = j / 2 - 60 metres.
 
     Attributes:
-        height_m: (240, 240) float32, scene frame; NaN where the map has none.
-        drivable: (240, 240) bool, where vehicles drive or park; None: the map does not say.
+        height_m: (240, 240) float32, scene frame; NaN if the map has no height.
+        drivable: (240, 240) bool, vehicles drive or park in the cell; None: the map does not state it.
 
     Source: our choice.
     """
@@ -78,9 +72,9 @@ class GroundMap:
 
     @staticmethod
     def of(ground: Float, areas: Sequence[Float] | None) -> GroundMap:
-        """From points of the ground (N, 3) and outlines (V, 2 or 3) of drivable areas, scene frame, metres.
+        """Build the map from ground points (N, 3) and outlines (V, 2 or 3) of drivable areas, scene frame, metres.
 
-        A cell's height is the mean of its points; it is drivable where its middle is inside an outline.
+        A cell's height is the mean of its points. A cell is drivable if its centre is inside an outline.
         """
         ground = ground[np.isfinite(ground).all(axis=1)]
         at = np.floor(ground[:, :2] / CELL_M).astype(np.int64) + CELLS // 2
@@ -97,13 +91,13 @@ class GroundMap:
         return GroundMap(height.reshape(CELLS, CELLS), drivable)
 
     def height_at(self, x_m: float, y_m: float) -> float | None:
-        """Height of the ground, scene frame, metres; None where the map has none."""
+        """Return the height of the ground, scene frame, metres; None if the map has none."""
         row, column = _cell(x_m), _cell(y_m)
         known = 0 <= row < CELLS and 0 <= column < CELLS and math.isfinite(self.height_m[row, column])
         return float(self.height_m[row, column]) if known else None
 
     def allows(self, x_m: float, y_m: float) -> bool:
-        """Whether a place is drivable as far as the map says."""
+        """True if the map says that the position is drivable, or has no drivable areas."""
         if self.drivable is None:
             return True
         row, column = _cell(x_m), _cell(y_m)
@@ -121,7 +115,7 @@ def _cell(metres: float) -> int:
 
 
 def _filled(outline: Float) -> NDArray[np.bool_]:
-    """(240, 240) cells whose middle is inside a closed outline (V, 2), by the even-odd rule."""
+    """Mark the cells (240, 240) with centres inside a closed outline (V, 2), by the even-odd rule."""
     inside = np.zeros((CELLS, CELLS), dtype=np.bool_)
     middle = (np.arange(CELLS) + 0.5 - CELLS // 2) * CELL_M
     for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):

@@ -1,4 +1,4 @@
-"""What readers of recorded scenes share: names, files and what is wrong with them, bounds of what is metres."""
+"""Helpers of the readers of recorded scenes: names, file access with clear errors, checks of arrays and units."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
 
 
 def read_bytes(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> bytes:
-    """A file's content. kind: what it is, for errors. remedy: what to do where there is none.
+    """Read a file. kind: name of the file's kind, for errors. remedy: advice if the file is missing.
 
     Raises InputError: it is missing, or cannot be read.
     """
@@ -34,7 +34,7 @@ def read_bytes(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> byte
 
 
 def read_lines(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> list[str]:
-    """Lines of a text file. Args and Raises: as `read_bytes`, and where it is no text."""
+    """Read the lines of a text file. Args and Raises: as `read_bytes`; also InputError if the file is not text."""
     try:
         return read_bytes(file, kind, remedy).decode().splitlines()
     except UnicodeDecodeError as error:
@@ -43,7 +43,7 @@ def read_lines(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> list
 
 @contextlib.contextmanager
 def opened(file: Location, kind: str, *bad: type[Exception]) -> Iterator[Any]:
-    """A binary file, open. kind: what it is, for errors. bad: what is raised beside OSError where it is damaged.
+    """Open a binary file. kind: name of the file's kind, for errors. bad: exceptions beside OSError that mean damage.
 
     Raises InputError: it is missing, cannot be read, or one of `bad` is raised while it is open.
     """
@@ -58,7 +58,7 @@ def opened(file: Location, kind: str, *bad: type[Exception]) -> Iterator[Any]:
 
 
 def read_array(file: Location) -> NDArray[Any]:
-    """The array of a .npy file. Raises InputError: it is missing, damaged, an archive, or no numbers."""
+    """Read the array of a .npy file. Raises InputError: it is missing, damaged, an archive, or not numeric."""
     content = read_bytes(file, ".npy file")
     try:
         array = np.load(io.BytesIO(content), allow_pickle=False)
@@ -72,9 +72,9 @@ def read_array(file: Location) -> NDArray[Any]:
 
 
 def read_records(file: Location, kind: str, columns: int) -> NDArray[np.float32]:
-    """(N, columns) of a file of little-endian float32, N at least 1.
+    """Read rows (N, columns) of a file of little-endian float32, N at least 1.
 
-    Raises InputError: as `read_bytes`, and where it is empty or its last row is cut short.
+    Raises InputError: as `read_bytes`; also if the file is empty or its last row is cut short.
     """
     raw, size = read_bytes(file, kind), 4 * columns
     if not raw or len(raw) % size:
@@ -84,7 +84,7 @@ def read_records(file: Location, kind: str, columns: int) -> NDArray[np.float32]
 
 
 def refuse_not_finite(rows: NDArray[Any], where: str, remedy: str = "Repair or drop those rows") -> None:
-    """Refuse rows (N, ...) with NaN or infinity. Raises InputError: naming how many there are, and the first."""
+    """Refuse rows (N, ...) with NaN or infinity. Raises InputError: naming their number and the first."""
     bad = ~np.isfinite(rows).all(axis=tuple(range(1, rows.ndim)))
     if bad.any():
         what = f"{counted(int(bad.sum()), 'row')} with NaN or infinity, first is row {int(bad.argmax())}"
@@ -92,7 +92,7 @@ def refuse_not_finite(rows: NDArray[Any], where: str, remedy: str = "Repair or d
 
 
 def require_array(values: NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic], where: str) -> None:
-    """Refuse an array of another shape or type. Raises InputError: saying which is wanted."""
+    """Refuse an array of another shape or type. Raises InputError: naming the required one."""
     if values.shape != shape:
         raise InputError(f"shape {values.shape}", where, f"Give {shape}")
     if values.dtype != dtype:
@@ -100,13 +100,13 @@ def require_array(values: NDArray[Any], shape: tuple[int, ...], dtype: type[np.g
 
 
 def first_few(names: Collection[str]) -> str:
-    """The first names in order, and how many there are."""
+    """Join the first names in order, and append the total number."""
     ordered = sorted(names)
     return ", ".join(ordered[:5]) + (f", ... ({len(ordered)} in all)" if len(ordered) > 5 else "")
 
 
 def names_in(folder: Location) -> list[str]:
-    """Names of what lies in a folder; none where there is no folder."""
+    """List the names in a folder; none if the folder does not exist."""
     try:
         return folder.names()
     except NotADirectoryError:
@@ -114,13 +114,13 @@ def names_in(folder: Location) -> list[str]:
 
 
 def stems_in(folder: Location, suffix: str) -> list[str]:
-    """Names without their suffix of the files in a folder that have it, in order; none where there is no folder."""
+    """List names, without suffix, of a folder's files with this suffix, in order; none if there is no folder."""
     return [name.removesuffix(suffix) for name in names_in(folder) if name.endswith(suffix)]
 
 
 def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:
-    """Refuse ranges (N,) that are no metres of a road scene: NaN, kilometres away, or the median below 0.5 m or beyond
-    150 m, as of centimetres, millimetres and kilometres. A range of 0 is a beam without a return.
+    """Refuse ranges (N,) that cannot be metres of a road scene: NaN, beyond 10 km, or a median below 0.5 m or beyond
+    150 m, as from centimetres, millimetres or kilometres. A range of 0 is a beam without a return.
 
     Raises InputError: naming the first row, or the median. Source: our choice of the bounds.
     """

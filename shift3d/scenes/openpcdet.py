@@ -1,4 +1,4 @@
-"""Frames in OpenPCDet's layout for custom data as scenes."""
+"""Frames in OpenPCDet's layout of custom data as scenes."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _COLUMNS = ("x", "y", "z", "dx", "dy", "dz", "heading", "class")
 
 
 def class_of(name: str) -> str:
-    """The class here of a name in a label file: "other" where it is unknown.
+    """Map a name of a label file to a shift3d class; "other" if the name is unknown.
 
-    Names are those of any data set here, in any case, with ``_``, ``-``, ``.`` or nothing between their words.
+    Accepts the names of all supported data sets, in any case, with ``_``, ``-``, ``.`` or nothing between words.
     """
     return _CLASS_OF.get(_joined(name), "other")
 
@@ -55,20 +55,19 @@ class OpenPcdetScenes(RecordedScenes):
     """Frames under a folder or bucket with points/NAME.npy, labels/NAME.txt and ImageSets/SPLIT.txt.
 
     Args:
-        root: holds points/; labels/ and ImageSets/ where there are any.
+        root: holds points/, and optionally labels/ and ImageSets/.
         names: frames to use; None: those of the split, or every file in points/, in order.
-        count: the first so many.
+        count: maximum number of frames.
         split: the file in ImageSets/ that lists frames; None: every file in points/.
-        sensor_m: place of the LiDAR in the frame of the points and labels, metres; axes are x forward, y left, z up.
-        ground_z_m: height of the ground there; None: found in each frame.
-        reflectance_max: what the fourth column calls full reflectance; None: 1, or 255 where it has such whole numbers.
-        keep_bad: list frames of the split whose file of points is missing; loading one raises InputError.
+        sensor_m: position of the LiDAR in the frame of the points and labels, metres; axes are x forward, y left, z up.
+        ground_z_m: height of the ground in that frame; None: estimated for each frame.
+        reflectance_max: full reflectance in the fourth column; None: 1, or 255 if the column has such whole numbers.
+        keep_bad: also list frames of the split whose point file is missing; loading one raises InputError.
 
-    A scene's origin is the LiDAR: points and boxes are moved there. A frame's points are rows of x, y, z and, where
-    there are four columns or more, reflectance. A label is ``x y z dx dy dz heading class``: geometric centre, heading
-    counter-clockwise from +x.
+    A scene's origin is the LiDAR: points and boxes are moved there. A frame's points are rows of x, y, z and, from four
+    columns on, reflectance. A label is ``x y z dx dy dz heading class``: box centre, heading counter-clockwise from +x.
 
-    Raises InputError: no folder points/, no file of the split, or a frame that it lists and nobody has.
+    Raises InputError: no folder points/, no file of the split, or a listed frame that does not exist.
     """
 
     dataset = "openpcdet"
@@ -117,7 +116,7 @@ class OpenPcdetScenes(RecordedScenes):
         values = _read_points(file)
         sensor = np.array(self.sensor_m, dtype=np.float64)
         points = (values[:, :3] - sensor).astype(np.float32)
-        points[~values[:, :3].any(axis=1)] = 0.0  # of an organised cloud: beams without a return
+        points[~values[:, :3].any(axis=1)] = 0.0  # beams without a return in an organised cloud
         require_metres(np.linalg.norm(points.astype(np.float64), axis=1), str(file))
         return Scene(
             scene_id=name,
@@ -175,7 +174,7 @@ def _listed_in(file: Location) -> list[str]:
 
 
 def _read_points(file: Location) -> NDArray[np.float64]:
-    """(N, C) float64 of a .npy file, C >= 3. Raises InputError: it is missing, damaged, or something else."""
+    """Read the array (N, C) float64 of a .npy file, C >= 3. Raises InputError: missing, damaged, or something else."""
     values = read_array(file)
     if values.ndim != 2 or values.shape[1] < 3:
         what = f"{values.shape}, not rows of x, y, z and reflectance"

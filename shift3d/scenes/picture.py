@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from matplotlib.collections import PathCollection
 
 BOX_COLOURS = {"vehicle": "tab:red", "pedestrian": "tab:green", "cyclist": "tab:orange"}
-_REACH_M = 50.0  # half the side of the square that is shown from above
+_REACH_M = 50.0  # half the side of the square of the view from above
 _EYE_M, _LOOK_AT_M = (-18.0, 10.0, 16.0), (14.0, 0.0, -1.5)  # of the three-quarter view, scene frame
 _EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
 def draw_bev(axes: Axes, scene: Scene, free_m: NDArray[np.float64] | None = None) -> PathCollection:
-    """Points from above, coloured by height above the ground, x up the page, y to the left; labels with their nose.
+    """Draw points from above, coloured by height above ground, x up the page, y to the left; labels with a nose.
 
     Args:
-        axes: matplotlib axes to draw on.
-        free_m: (N, 2) places to mark, where a vehicle could stand.
+        axes: matplotlib axes.
+        free_m: (N, 2) free placements to mark.
 
     Returns: the points, for a colour bar.
     """
@@ -55,7 +55,7 @@ def draw_bev(axes: Axes, scene: Scene, free_m: NDArray[np.float64] | None = None
 
 
 def draw_view(axes: Axes, scene: Scene) -> None:
-    """Perspective view from a raised eye, far points first, labels as wire boxes."""
+    """Draw a perspective view from a raised eye, far points first, labels as wire boxes."""
     eye = np.array(_EYE_M)
     camera = _camera(eye, np.array(_LOOK_AT_M))
     image, depth = _project(scene.points.astype(np.float64), eye, camera)
@@ -94,7 +94,7 @@ def _colour(name: str) -> str:
 
 
 def _camera(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows: right, up, forward of a camera at eye that looks at target."""
+    """Return the axes of a camera at `eye` that looks at `target`, as rows: right, up, forward."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

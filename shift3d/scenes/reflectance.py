@@ -1,4 +1,4 @@
-"""Reflectance as files have it, on the scale 0 to 1 that scenes have it on."""
+"""Conversion of reflectance in files to the scale 0 to 1."""
 
 from __future__ import annotations
 
@@ -11,28 +11,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_RAW = 1e5
-"""Largest number that stands for full reflectance in any sensor's files."""
+"""Largest value of full reflectance in any sensor's files."""
 STRAY_SHARE = 0.05
-"""Up to this share of values may lie beyond a scale (our choice): bits that flipped, mirrors that outshine the
-sensor's calibration. More of them are on another scale."""
+"""Share of values that may lie beyond a scale (our choice): flipped bits, mirrors that outshine the sensor's
+calibration. A larger share means another scale."""
 
 
 def full_reflectance(
     values: NDArray[np.floating], where: str, stated: float | None = None, remedy: str = "State its maximum"
 ) -> float:
-    """The number that stands for full reflectance: divide by it, then cut what is beyond 0 to 1.
+    """Find the value of full reflectance. The caller divides by it and clips to 0 to 1.
 
-    stated: that number, as the sensor's manual has it: 1, 255, or for raw intensities up to `MOST_RAW`.
-    None: it is recognised: 1 where values lie in 0 to 1, 255 where they are whole numbers from 0 to 255; of whole
-        numbers alone one beyond 1 is enough, as in a dark frame. Raw intensities cannot be recognised: the largest
-        value of a scene differs from scene to scene, and is never used.
+    stated: the value from the sensor's manual: 1, 255, or for raw intensities up to `MOST_RAW`.
+    None: the value is recognised: 1 if values lie in 0 to 1, 255 if they are whole numbers from 0 to 255. If all are
+    whole, one value beyond 1 is enough, as in a dark frame. Raw intensities cannot be recognised: the largest value
+    differs from scene to scene and is never used.
 
     Args:
-        values: (N,) of one file, finite. where: the file, for errors. remedy: what to do where no scale fits.
+        values: (N,) of one file, finite. where: the file, for errors. remedy: advice if no scale fits.
 
-    Raises InputError: a maximum out of range; more than `STRAY_SHARE` of the values not on that scale, or on none:
-    naming file and row.
-
+    Raises InputError, naming file and row: a maximum out of range; more than `STRAY_SHARE` of the values off the scale.
     Source: our choice; mixed scales turned whole frames into fog in a public simulator.
     """
     if stated is not None:
@@ -51,9 +49,9 @@ def full_reflectance(
 
 
 def _misfits(values: NDArray[np.floating], full: float, whole: bool = False) -> NDArray[np.bool_]:
-    """(N,) bool: values that are not on a scale; none where they are few. whole: beyond 1 it has whole numbers alone.
+    """Return the mask (N,) of values off a scale; empty if they are few. whole: only whole numbers may exceed 1.
 
-    Where hardly anything exceeds 1, fractions show the scale 0 to 1, whatever the file is said to have.
+    If hardly any value exceeds 1, fractions show the scale 0 to 1, even if another scale is stated.
     """
     few = STRAY_SHARE * len(values)
     misfits: NDArray[np.bool_] = (values < 0.0) | (values > full)

@@ -1,4 +1,4 @@
-"""The record of one LiDAR sweep that everything downstream reads: points, labels, conditions of the recording."""
+"""Record of one LiDAR sweep that all other code reads: points, labels, conditions of the recording."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
 WEATHERS = ("dry", "rain", "fog", "snow")
 LEAST_VISIBILITY_M = 1e-3
-"""Densest fog (our choice). Of 1e-15 m the first metre of a beam has no two places in float64 that tell its echo."""
+"""Densest fog (our choice). At 1e-15 m float64 has no two positions in the first metre to resolve the echo."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,11 @@ class Labels:
     """Labelled objects of one scene.
 
     Attributes:
-        boxes: (M, 7) float64, scene frame: x, y, z of the geometric centre, dx, dy, dz, heading
-            counter-clockwise from +x; metres and radians.
-        classes: M names of shift3d: "vehicle", "pedestrian", "cyclist", "other".
+        boxes: (M, 7) float64, scene frame: x, y, z of the centre, dx, dy, dz (metres), heading from +x (radians).
+        classes: M class names of shift3d: "vehicle", "pedestrian", "cyclist", "other".
         num_points: (M,) int32, points of the scene inside each box.
-        names: M names as the data set itself gives them ("Car", "Van", ...); empty where it gives none.
-        kinds: M body types with attributes ("sedan", "suv+roof_box"; "" for what is no vehicle); empty where unknown.
+        names: M class names of the data set ("Car", "Van", ...); empty if it has none.
+        kinds: M body types with attributes ("sedan", "suv+roof_box"; "" for non-vehicles); empty if unknown.
     """
 
     boxes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
@@ -40,18 +39,15 @@ class Labels:
     kinds: tuple[str, ...] = ()
 
     def of_class(self, name: str) -> NDArray[np.float64]:
-        """Boxes (K, 7) of one class, in label order."""
+        """Return the boxes (K, 7) of one class, in label order."""
         return self.boxes[self.mask(name)]
 
     def mask(self, name: str) -> NDArray[np.bool_]:
-        """(M,) bool: which labels are of one class."""
+        """Return the mask (M,) of the labels of one class."""
         return np.array([label == name for label in self.classes], dtype=np.bool_)
 
     def validate(self, where: str) -> None:
-        """Refuse labels that do not fit together.
-
-        Args:
-            where: the scene, named in the error.
+        """Refuse labels that do not fit together. where: the scene, for the error.
 
         Raises InputError: naming the field, the row and the remedy.
         """
@@ -73,18 +69,17 @@ class Labels:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What an effect may ask about the recording.
+    """Conditions of the recording that effects ask for.
 
     Attributes:
         weather: one of :data:`WEATHERS`.
-        rain_mm_h: rain rate; 0 where it does not rain.
-        snow_mm_h: rate of snowfall as melted water; 0 where it does not snow.
+        rain_mm_h: rain rate; 0 without rain.
+        snow_mm_h: rate of snowfall as melted water; 0 without snow.
         visibility_m: meteorological optical range; infinite in clear air.
-        ego_velocity_m_s: (vx, vy, vz) of the sensor in the scene frame; None where unknown.
-        weather_in_points: whether the points carry the weather already, as those of a recording do. Effects then
-            change the object's points alone.
-        motion_compensated: whether points are given where they were at time 0 in the frame of the sensor at time 0
-            (origins then follow the sensor); otherwise each is given in the frame of the sensor as it fired.
+        ego_velocity_m_s: (vx, vy, vz) of the sensor in the scene frame; None if unknown.
+        weather_in_points: the points contain the weather, as in a recording. Effects then change the object alone.
+        motion_compensated: points are given at time 0 in the frame of the sensor at time 0 (origins then follow the
+            sensor). Otherwise each point is in the frame of the sensor at its firing time.
     """
 
     weather: str = "dry"
@@ -120,7 +115,7 @@ class Scene:
         scene_id: unique name within its data set.
         dataset: "kitti", "street-hdl64", "street-waymo_top", ...
         points: (N, 3) float32. A point at its own origin (zero range) carries no beam: see :attr:`has_beam`.
-        origins: (N, 3) float32, where the beam of each point left its sensor; may be a view of one row.
+        origins: (N, 3) float32, start of each point's beam at its sensor; may be a view of one row.
         ground_z_m: nominal height of the ground around the sensor (-1.73 for KITTI).
         labels: objects in the scene.
         reflectance: (N,) float32 in 0..1, or None.
@@ -128,10 +123,10 @@ class Scene:
         time_s: (N,) float32, firing time after the sweep's start, or None.
         range_image_index: (N, 2) int32, row (top beam is 0) and column of each point, or None.
         conditions: weather and the like.
-        sensor: what is stated about the sensor; None: nothing.
-        no_return: beams without a return, where the scene is a whole range image; None: unknown.
-        in_no_label_zone: (N,) bool, points where the data set labels nothing, or None: it labels everywhere.
-        ground_map: the ground as the data set's map has it, or None.
+        sensor: stated facts of the sensor, or None.
+        no_return: no-return beams if the scene is a whole range image; None: unknown.
+        in_no_label_zone: (N,) bool, points where the data set labels nothing; None: it labels everywhere.
+        ground_map: the ground of the data set's map, or None.
 
     Source: our choice (design sections 4 and 6: beams come from each sensor's own origin).
     """
@@ -154,15 +149,15 @@ class Scene:
 
     @property
     def has_beam(self) -> NDArray[np.bool_]:
-        """(N,) bool: points away from their origin. The others keep their row but have no direction."""
+        """Mask (N,) of the points away from their origin. The other points keep their row but have no direction."""
         mask: NDArray[np.bool_] = (self.points != self.origins).any(axis=1)
         return mask
 
     def validate(self) -> None:
         """Refuse a scene that cannot be rendered into.
 
-        Raises InputError: naming scene, field, row and remedy. Checked are: shapes and dtypes of every field, NaN and
-        infinite values, at least one point with a beam, labels and conditions.
+        Checks shapes, dtypes and finite values of all fields, at least one point with a beam, labels and conditions.
+        Raises InputError: naming scene, field, row and remedy.
         """
         where = f"scene {self.scene_id}"
         if not self.scene_id or not self.dataset:
@@ -190,7 +185,7 @@ class Scene:
                 part.validate(where)
 
     def content_hash(self) -> str:
-        """BLAKE2b-128 hex digest of everything in the record: equal content gives equal digests anywhere.
+        """Compute the BLAKE2b-128 hex digest of the whole record; equal content gives equal digests on any machine.
 
         Arrays enter as little-endian bytes with name, dtype and shape; a broadcast view and its copy agree.
         """
@@ -204,7 +199,7 @@ class Scene:
             "conditions": asdict(self.conditions),
             "sensor": None if self.sensor is None else asdict(self.sensor),
         }
-        if self.labels.kinds:  # scenes without them keep the digest that they have without this field
+        if self.labels.kinds:  # the digest of scenes without kinds does not depend on this field
             header["kinds"] = self.labels.kinds
         digest.update(json.dumps(header, sort_keys=True).encode())
         arrays = [(name, values) for name, values, _, _ in self._fields()]
@@ -219,7 +214,7 @@ class Scene:
         return digest.hexdigest()
 
     def _fields(self) -> list[tuple[str, NDArray[np.generic], type[np.generic], int | None]]:
-        """Per-point arrays that are present: name, values, dtype wanted, columns (None: one-dimensional)."""
+        """List per-point arrays that are not None: name, values, required dtype, columns (None: one-dimensional)."""
         fields: list[tuple[str, NDArray[np.generic] | None, type[np.generic], int | None]] = [
             ("points", self.points, np.float32, 3),
             ("origins", self.origins, np.float32, 3),

@@ -1,4 +1,4 @@
-"""What a scene states about its sensor, and the beams that brought nothing back."""
+"""Stated facts of a scene's sensor, and its no-return beams."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from shift3d.errors import InputError
 from shift3d.scenes.listing import refuse_not_finite, require_array
 
 LEAST_LIMIT_M, LEAST_SPREAD = 1e-3, 1e-9
-"""Smallest limit of a sensor, and width of a limit that is not sharp (our choice): below them lie typing errors."""
+"""Smallest limit of a sensor, and smallest width of a soft limit (our choice): smaller values are typing errors."""
 
 
 @dataclass(frozen=True)
 class SensorModel:
-    """Facts of the sensor that an effect may ask for; None where the recording does not state them.
+    """Facts of the sensor that effects ask for; None if the recording does not state them.
 
     Attributes:
         range_noise_m: standard deviation of a range, along the beam.
         divergence_rad: full angle of a beam's cone.
-        limit_range_m: range at which a surface of albedo 0.9, met head on in clear air, sends back just what is
-            needed to be detected: the least power is 0.9 / limit_range_m^2. It belongs to the law of power
-            rho cos(incidence) / R^2, not to a data sheet's maximum range.
+        limit_range_m: range at which a surface of albedo 0.9, at normal incidence in clear air, is just detected: least
+            power 0.9 / limit_range_m^2. It belongs to the power law rho cos(incidence) / R^2, not to a data sheet.
         power_spread: width of the transition at that power, in factors of e; 0: a sharp limit.
     """
 
@@ -33,12 +32,12 @@ class SensorModel:
     power_spread: float = 0.0
 
     def validate(self, where: str) -> None:
-        """Refuse what no sensor has. Raises InputError: naming the field and the remedy."""
+        """Refuse values that no sensor has. Raises InputError: naming the field and the remedy."""
         for name, most in (("range_noise_m", 10.0), ("divergence_rad", 0.1), ("limit_range_m", 1e5)):
             value = getattr(self, name)
             if value is not None and not 0.0 < value <= most:
                 raise InputError(f"{value}", f"{where}, sensor.{name}", f"Give more than 0, at most {most:g}, or None.")
-        # Powers are divided by this limit's square, which of 1e-170 m is 0, and their logarithms by the spread.
+        # Powers are divided by the limit's square, which is 0 for 1e-170 m, and their logarithms by the spread.
         if self.limit_range_m is not None and self.limit_range_m < LEAST_LIMIT_M:
             remedy = f"Give at least {LEAST_LIMIT_M:g} m, or None."
             raise InputError(f"{self.limit_range_m} m", f"{where}, sensor.limit_range_m", remedy)
@@ -49,12 +48,12 @@ class SensorModel:
 
 @dataclass(frozen=True)
 class NoReturnBeams:
-    """Beams of a range image that brought nothing back.
+    """Beams of a range image without a return.
 
     Attributes:
         origins: (M, 3) float32, scene frame, metres; may be a view of one row.
         directions: (M, 3) float32 unit vectors.
-        time_s: (M,) float32, firing times as those of the scene's points, or None.
+        time_s: (M,) float32, firing times like those of the scene's points, or None.
     """
 
     origins: NDArray[np.float32]

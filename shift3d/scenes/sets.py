@@ -1,4 +1,4 @@
-"""Scene sets: names, and the scene behind each name."""
+"""Scene sets: lists of scene names with loaders."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ STREET_SPLITS = ("train", "val", "test")
 
 _STREET = re.compile(r"(street-[a-z]+-([a-z0-9_]+)-\d{6,})(?:-(?!seed\d+$)[a-z0-9._-]+?)?(-seed\d+)?")
 _BY_DRIVE = ("waymo", "argoverse2")
-"""Data sets whose frames are named "DRIVE-TIMESTAMP"; ten a second are of one drive."""
+"""Data sets whose frames are named "DRIVE-TIMESTAMP", with ten frames a second of one drive."""
 
 
 def place_of(dataset: str, scene: str) -> str:
-    """Where a scene of a data set lies, "DATASET/SCENE".
+    """Return the place of a scene, "DATASET/PLACE". Scenes of one place are not independent draws.
 
-    Scenes of one street lie in one place whatever set they are of, as one of mixed sensors, and whatever options they
-    have, as other beams or weather; so do all frames of one segment (Waymo) or log (Argoverse 2). They are no
-    independent draws. Names of other recordings tell no drive.
+    All scenes of one street share a place, in any set (such as one of mixed sensors) and with any options (such as
+    other beams or weather). So do all frames of one segment (Waymo) or log (Argoverse 2). Scene names of other
+    recordings do not tell the drive, so that each scene is its own place.
     """
     if found := _STREET.fullmatch(scene):
         return f"street-{found[2]}/{found[1]}{found[3] or ''}"
@@ -47,12 +47,11 @@ def place_of(dataset: str, scene: str) -> str:
 
 
 class SceneSet(Protocol):
-    """What tasks read scenes from.
+    """Source of the scenes of tasks.
 
     Attributes:
-        dataset: name written into result rows.
-        placement_sector_rad: (centre, half width) of the azimuths where objects may be inserted; scenes are labelled
-            there.
+        dataset: name for result rows.
+        placement_sector_rad: (centre, half width) of the azimuths of insertion; the data set labels scenes there.
     """
 
     @property
@@ -62,30 +61,30 @@ class SceneSet(Protocol):
     def placement_sector_rad(self) -> tuple[float, float]: ...
 
     def names(self) -> list[str]:
-        """Scene names, in a fixed order."""
+        """List the scene names, in a fixed order."""
         ...
 
     def load(self, name: str) -> Scene:
-        """The validated scene of a name. Raises InputError: for an unknown name or a bad frame."""
+        """Load and validate the scene of a name. Raises InputError: an unknown name or a bad frame."""
         ...
 
     def configured(self, name: str) -> tuple[str, SceneFacts] | None:
-        """The data set and the facts of a scene, where its configuration alone gives them; None: it must be loaded."""
+        """Return data set and facts of a scene if its configuration alone gives them; None: it must be loaded."""
         ...
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """Plain values that change whenever the scene's content may: its configuration, or the state of its files."""
+        """Return plain values that change whenever the scene may: its configuration, or the state of its files."""
         ...
 
 
 class RecordedScenes(ABC):
-    """A `SceneSet` of files: nothing is known of a scene but by these. Objects are placed all around, if not said.
+    """`SceneSet` of recorded files. Objects are placed all around, unless a subclass restricts the sector.
 
     Args:
         root: folder or bucket.
-        names: of the scenes to use, in this order; None: all that are found.
-        count: the first so many; those after them are not looked for.
-        keep_bad: list scenes that are named and not found, too; loading one raises InputError.
+        names: scenes to use, in this order; None: all scenes found.
+        count: maximum number of scenes; the search stops there.
+        keep_bad: also list named scenes that do not exist; loading one raises InputError.
     """
 
     dataset: str
@@ -96,9 +95,9 @@ class RecordedScenes(ABC):
         self._wanted = None if names is None else list(names)[:count]
 
     def names(self) -> list[str]:
-        """Names of the scenes.
+        """List the names of the scenes.
 
-        Raises InputError: files that list them are damaged, an unknown one is wanted, or there are none.
+        Raises InputError: damaged files of the list, an unknown name, or no scenes.
         """
         return list(self._listed)
 
@@ -118,58 +117,58 @@ class RecordedScenes(ABC):
 
     @abstractmethod
     def _found(self) -> Iterable[str]:
-        """Names of the scenes that are there, in order; of those that are wanted at least these."""
+        """List the existing scenes, in order; may omit scenes that are not wanted."""
 
     @abstractmethod
     def _found_in(self) -> str:
-        """Where scenes are looked for, for errors."""
+        """Return the searched location, for errors."""
 
     def _require_listed(self, name: str) -> None:
-        """Raises InputError: the set has no scene of this name."""
+        """Raise InputError if the set has no scene of this name."""
         if name not in self._listed:
             raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._listed)}")
 
     def load(self, name: str) -> Scene:
-        """One scene. Raises InputError: naming the file, the line, row or key in it, and the remedy."""
+        """Load one scene. Raises InputError: naming the file, the line, row or key in it, and the remedy."""
         scene = self._read(name)
         scene.validate()
         return scene
 
     @abstractmethod
     def _read(self, name: str) -> Scene:
-        """As `load`, not validated."""
+        """Load one scene without validation."""
 
     def configured(self, name: str) -> None:
-        """See `SceneSet`: a scene must be loaded."""
+        """Return None: the facts of a recorded scene need its points."""
         return
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: what is said about a scene's files, and where each lies in which version."""
+        """Return the settings of a scene, and path and version of each of its files; see `SceneSet`."""
         settings, files = self._made_of(name)
         return (self.dataset, name, *settings, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     @abstractmethod
     def _made_of(self, name: str) -> tuple[Iterable[str | int | float | None], Iterable[Location]]:
-        """What is said about a scene's files, and these."""
+        """Return the settings and the files of a scene."""
 
 
 def from_one_place(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N, 3) origins of the beams of points (N, 3) that all start in the scene's origin, a view of one row."""
+    """Return origins (N, 3) for beams of points (N, 3) that all start at the scene's origin, a view of one row."""
     return np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape)
 
 
 class StreetScenes:
-    """Procedural street scenes, made when they are asked for.
+    """Procedural street scenes, generated on demand.
 
     Args:
         sensor: "hdl64", "waymo_top", or "mixed" (even indices hdl64, odd ones waymo_top).
         seed: another seed gives other scenes.
-        count: how many names the set lists, from index ``start`` on.
+        count: number of names in the set, from index ``start`` on.
         split: "train", "val" or "test": disjoint layouts and vehicles.
         start: first index.
-        options: what scenes state and show beyond that; off by default.
+        options: optional properties of the scenes; off by default.
 
-    Raises InputError: for an unknown sensor or split, a count below 1, or held-out traffic on split train.
+    Raises InputError: an unknown sensor or split, a count below 1, or held-out traffic on split train.
     """
 
     placement_sector_rad = (0.0, float(np.pi))
@@ -195,20 +194,19 @@ class StreetScenes:
 
     @property
     def dataset(self) -> str:
-        """ "street-", the sensor, and the tag of the options that are on."""
+        """Name "street-", the sensor, and the tag of the options that are on."""
         return f"street-{self.sensor}{self.options.tag}"
 
     def names(self) -> list[str]:
-        """Names such as street-test-hdl64-000007; options are appended as -fog50-returns2, a seed other than 0 as
-        -seed3 after them."""
+        """List names such as street-test-hdl64-000007, with options (-fog50-returns2) and nonzero seed (-seed3)."""
         return [self._name(index) for index in range(self.start, self.start + self.count)]
 
     def load(self, name: str) -> Scene:
-        """The scene of a name: the same bytes every time. Its arrays are for reading: others may be given them too."""
+        """Return the scene of a name, the same bytes every time. Do not change its arrays: callers share them."""
         return _made(*self._arguments(name))
 
     def vehicles(self, name: str) -> tuple[PlacedVehicle, ...]:
-        """The vehicles of the scene of a name with their meshes."""
+        """Return the vehicles of the scene of a name, with their meshes."""
         from shift3d.scenes.street.assemble import street_vehicles
 
         return street_vehicles(*self._arguments(name))
@@ -222,7 +220,7 @@ class StreetScenes:
         return self.split, self.seed, index, self._sensor_of(index), self.options
 
     def seen_by_own(self, name: str) -> tuple[StreetScenes, str] | None:
-        """The same street seen by its own sensor: set and name; None where it is so already."""
+        """Return set and name of the same street seen by its own sensor; None if options.beams is None."""
         if self.options.beams is None:
             return None
         options = replace(self.options, beams=None)
@@ -236,7 +234,7 @@ class StreetScenes:
         return f"street-{sensor}{self.options.tag}", street_facts(name, sensor, self.options)
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: the name says everything."""
+        """Return the name, which determines the scene; see `SceneSet`."""
         return ("street", name)
 
     def _name(self, index: int) -> str:
@@ -249,8 +247,7 @@ class StreetScenes:
 
 @functools.lru_cache(maxsize=4)
 def _made(split: str, seed: int, index: int, sensor: str, options: StreetOptions) -> Scene:
-    """A street, validated. It takes half a second to make and 4 MB to keep, and a command may come to one several
-    times: in its plan, its tasks, and what follows them."""
+    """Generate and validate a street in half a second. Cached (4 MB each): plan, tasks and later steps may share it."""
     from shift3d.scenes.street.assemble import street_scene
 
     scene = street_scene(split, seed, index, sensor, options)

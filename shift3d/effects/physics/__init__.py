@@ -1,1 +1,1 @@
-"""Physics that several effects share: materials, received power, silhouettes."""
+"""Physics shared by several effects: materials, received power, silhouettes."""

@@ -1,4 +1,4 @@
-"""Which rows are returns of one beam, and in which order."""
+"""Pairing of rows that are returns of one beam, with their order."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from shift3d.effects.base import EffectContext
 from shift3d.scenes.scene import Scene
 
 _NO_NUMBER = 256
-"""More than any return number, which is a uint8."""
+"""Larger than any return number, which is a uint8."""
 
 
 @dataclass(frozen=True)
 class BeamReturns:
-    """Returns paired by their beams.
+    """Returns paired by beam.
 
-    beam: (N,) int64, see `beam_numbers`. number: (N,) int64, of the return: 0 for the first of its beam.
+    beam: (N,) int64, see `beam_numbers`. number: (N,) int64, return number, 0 for the first return of a beam.
     """
 
     beam: Tensor
@@ -28,31 +28,34 @@ class BeamReturns:
 
     @staticmethod
     def of(context: EffectContext) -> BeamReturns | None:
-        """The rows of a context; None where the scene has no return numbers or no pixels to pair them by."""
+        """Pair the rows of a context. Returns None if the scene has no return numbers or no pixels."""
         scene, count = context.scene, len(context.beams)
         if scene.return_number is None or scene.range_image_index is None:
             return None
-        number = torch.zeros(count, dtype=torch.long)  # beams that had no return have one at most
+        number = torch.zeros(count, dtype=torch.long)  # a no-return beam gets one return at most
         number[: len(scene.points)] = torch.from_numpy(scene.return_number.astype(np.int64))
         return BeamReturns(torch.from_numpy(beam_numbers(scene, count)), number)
 
     @property
     def later(self) -> Tensor:
-        """(N,) bool: whether a return of the same beam comes before."""
+        """Mask (N,) of the rows that are not the first return of their beam."""
         return self.behind(torch.arange(len(self.beam)), torch.ones(len(self.beam), dtype=torch.bool))
 
     def behind(self, row: Tensor, some: Tensor) -> Tensor:
-        """(K,) bool: whether some (K,) bool of the rows (K,) int64 is an earlier return of the same beam."""
+        """Return the mask (K,) of the rows with an earlier return of the same beam among the rows of the mask `some`.
+
+        row: (K,) int64. some: (K,) bool.
+        """
         beam, number = self.beam[row], self.number[row]
         earliest = torch.full_like(self.beam, _NO_NUMBER).scatter_reduce(0, beam[some], number[some], "amin")
         return number > earliest[beam]
 
 
 def beam_numbers(scene: Scene, count: int) -> NDArray[np.int64]:
-    """(count,) a number for each row, below `count`: the same for rows of the same beam.
+    """Number the beams: (count,), each below `count`; rows of one beam have the same number.
 
-    The same beam: the same pixel and the same origin, since several sensors may count their pixels alike. Rows
-    without a pixel (negative indices, rows beyond the scene's points) are beams of their own.
+    Rows of one beam share pixel and origin; the origin counts because several sensors may use equal pixels. A row
+    without a pixel (negative indices, rows beyond the scene's points) is a beam of its own.
     """
     assert scene.range_image_index is not None
     pixel = scene.range_image_index.astype(np.int64)

@@ -1,4 +1,4 @@
-"""The power of an echo, and whether the sensor notices it: one law for ray drop, weather and wet ground."""
+"""Echo power and detection probability: one law for ray drop, weather and wet ground."""
 
 from __future__ import annotations
 
@@ -13,48 +13,43 @@ from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
 
 OVERLAP_FROM_M, OVERLAP_TO_M = 0.9, 1.0
-"""Between these ranges the receiver comes to see what the laser lights (Hahner et al. 2021)."""
+"""Ranges between which the receiver's view starts to overlap with the laser beam (Hahner et al. 2021)."""
 LIMIT_ALBEDO = 0.9
-"""Of the surface by which `SensorModel.limit_range_m` is stated."""
+"""Albedo of the surface that defines `SensorModel.limit_range_m`."""
 OBJECT_FAR_M, SCENE_FAR_M = 50.0, 120.0
-"""How far the object lies at most (the paper's 15 to 50 m), and what a scene shows (our choice)."""
+"""Largest distance of the object (the paper's 15 to 50 m), and of a scene's points (our choice)."""
 LEAST_LOSS = 0.01
-"""Share of the light below which a loss cannot matter (our choice: the step in which reflectance is reported)."""
+"""A loss of light below this share cannot matter (our choice: the resolution of reported reflectance)."""
 _NO_POWER = 1e-300
 
 
 def overlap(range_m: Tensor) -> Tensor:
-    """xi(R) in [0, 1], rising linearly over 0.9 to 1.0 m; shape and dtype of range_m, metres."""
+    """Compute the overlap xi(R) in [0, 1]: rises linearly from 0.9 to 1.0 m; shape and dtype of range_m, metres."""
     return ((range_m - OVERLAP_FROM_M) / (OVERLAP_TO_M - OVERLAP_FROM_M)).clamp(0.0, 1.0)
 
 
 def echo_power(albedo: Tensor, cosine: Tensor, range_m: Tensor) -> Tensor:
-    """Power of echoes in clear air, albedo * cosine * xi(R) / R^2, up to the sensor's constant.
+    """Compute the echo power in clear air, albedo * cosine * xi(R) / R^2, up to the sensor's constant.
 
     Args:
         albedo: (K,) in [0, 1]. cosine: (K,) of incidence, in [0, 1]. range_m: (K,), metres.
 
-    Returns: (K,) in 1/m^2; 0 nearer than 0.9 m, whatever the range. Differentiable w.r.t. all three.
-
-    Source: reference equations of echo power (Rasshofer et al. 2011); constant as in `least_power`.
+    Returns: (K,) in 1/m^2; 0 for any range below 0.9 m. Differentiable w.r.t. all three. Source: reference equations of
+    echo power (Rasshofer et al. 2011); constant as in `least_power`.
     """
     return albedo * cosine * overlap(range_m) / range_m.clamp(min=OVERLAP_FROM_M) ** 2
 
 
 def least_power(limit_range_m: float) -> float:
-    """Power, 1/m^2, that an echo needs to be noticed: 0.9 / limit_range_m^2 (see `SensorModel`).
-
-    Source: Kilic et al. 2021 (LISA).
-    """
+    """Compute the least detectable echo power, 1/m^2: 0.9 / limit_range_m^2. Source: Kilic et al. 2021 (LISA)."""
     return LIMIT_ALBEDO / limit_range_m**2
 
 
 def survival(power: Tensor, sensor: SensorModel) -> Tensor:
-    """Probability (K,) float64 that echoes of a power (K,), 1/m^2, are noticed.
+    """Compute the detection probability (K,) float64 of echoes of a power (K,), 1/m^2.
 
-    Sharp at the least power where `power_spread` is 0, else logistic in the log of power with that width, one half
-    at the least power; 1 where the limit is unknown. Differentiable where it is not sharp.
-
+    For `power_spread` 0 the limit is sharp at the least power. Otherwise the probability is logistic in log power, with
+    that width and one half at the least power. Without a limit it is 1. Differentiable if the limit is not sharp.
     Source: our choice, as the procedural streets lose returns.
     """
     if sensor.limit_range_m is None:
@@ -66,30 +61,29 @@ def survival(power: Tensor, sensor: SensorModel) -> Tensor:
 
 
 def survival_draws(context: EffectContext) -> Tensor:
-    """(N,) float64 uniform in [0, 1), one a beam: an echo is noticed where the draw lies below `survival`.
+    """Draw (N,) float64 uniform in [0, 1), one a beam. An echo is detected if the draw lies below `survival`.
 
-    All effects that lose echoes of the object share these: the same beam is not tried twice with different luck, so
-    that rain, then ray drop, lose together what the weakest power of the two loses.
+    All effects that lose echoes of the object share these draws. Rain followed by ray drop therefore loses the same
+    echoes as one test with the weaker of both powers, and no beam is tried twice with different luck.
     """
     return torch.from_numpy(context.draws("power", "survival").random(len(context.beams)))
 
 
 def loss(extinction_per_m: float, range_m: float) -> float:
-    """Share of the light that is lost on the way there and back: 1 - exp(-2 alpha R), Beer and Lambert."""
+    """Compute the share of light lost on the way there and back: 1 - exp(-2 alpha R), Beer and Lambert."""
     return -math.expm1(-2.0 * extinction_per_m * range_m)
 
 
 def reach_m(conditions: Conditions) -> float:
-    """How far away weather can change a point, metres: the object alone where it is in the scene's points already."""
+    """Return the reach of weather, metres. Weather that the points contain already changes the object only."""
     return OBJECT_FAR_M if conditions.weather_in_points else SCENE_FAR_M
 
 
 @dataclass(frozen=True)
 class PowerLimit:
-    """Losses of one effect that weakens echoes.
+    """Losses caused by one effect that weakens echoes.
 
-    sensor, least: whose limit, and its least power, 1/m^2. shared, own: (N,) draws, see `survival_draws`; None where
-    the limit is unknown or infinitely far away.
+    sensor, least: the sensor and its least power, 1/m^2. shared, own: (N,) draws, see `survival_draws`; None: no limit.
     """
 
     sensor: SensorModel
@@ -99,7 +93,7 @@ class PowerLimit:
 
     @staticmethod
     def of(context: EffectContext, effect: str) -> PowerLimit:
-        """The limit of the context's sensor, with the draws of one effect."""
+        """Return the limit of the context's sensor, with the draws of one effect."""
         sensor = context.scene.sensor or SensorModel()
         if sensor.limit_range_m is None or math.isinf(sensor.limit_range_m):  # no least power
             return PowerLimit(sensor)
@@ -107,13 +101,13 @@ class PowerLimit:
         return PowerLimit(sensor, least_power(sensor.limit_range_m), survival_draws(context), own)
 
     def lost(self, returns: Returns, power: Tensor, transmission: Tensor) -> Tensor:
-        """(K,) bool: echoes that are not noticed any more, of those that are returned.
+        """Return the mask (K,) of the returns that the effect makes undetectable.
 
         Args:
-            returns: K rows. power: (K,) before the effect, 1/m^2. transmission: (K,) in [0, 1], what is left of it.
+            returns: K rows. power: (K,) before the effect, 1/m^2. transmission: (K,) in [0, 1], the share that is left.
 
-        What lies on the object has to be noticed at all. Everything else is known to have been noticed before, so
-        that only the effect's part counts: survival(after) / survival(before). Not differentiable.
+        An echo of the object must be detectable at all. Any other echo is known to have been detected before the
+        effect, so that its probability is survival(after) / survival(before). Not differentiable.
         """
         lost = torch.zeros_like(returns.returned)
         if self.shared is None or self.own is None:
@@ -130,11 +124,11 @@ class PowerLimit:
         return lost
 
     def _share_kept(self, before: Tensor, transmission: Tensor) -> Tensor:
-        """(K,) of echoes known to have been noticed.
+        """Compute the detection probability (K,) after the effect, given detection before it.
 
-        A sharp limit cannot explain an echo from below it (its reflectance may be reported as 0): how far it really
-        was above is unknown. Our choice: by an exponentially distributed log of power with mean 1; it then survives
-        with the probability `transmission`. A soft limit gives transmission^(1 / power_spread) there by itself.
+        A sharp limit cannot explain an echo with less than the least power (its reflectance may be reported as 0); its
+        true excess is unknown. Our choice: its log power is exponentially distributed above the limit with mean 1, so
+        that it survives with the probability `transmission`. A soft limit gives transmission^(1 / power_spread).
         """
         least, spread = self.least, self.sensor.power_spread
         if spread == 0.0:

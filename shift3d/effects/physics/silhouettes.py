@@ -1,4 +1,4 @@
-"""Which beams are cones that may meet more than their axis does."""
+"""Search for beams whose cone may hit something else than their axis."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from shift3d.render.field.object_field import ObjectField
 
 _LEAST_STEP_M = 0.002
 _ON_FACE = 0.05
-"""A sub-ray meets a face where the field is less than this share of the cone's radius (our choice: of the sub-rays at a
-straight edge, that misplaces the edge by as much)."""
+"""A sub-ray is on a face if the field is less than this share of the cone's radius (our choice). For sub-rays at a
+straight edge, this misplaces the edge by as much."""
 _CORRECTIONS = 3
-"""Newton steps by which a sub-ray looks for a curved face, from where a flat one would be."""
+"""Number of Newton steps from the hit on a flat face to the hit on the curved face."""
 _APPROACH = 1.5
-"""The face that an axis ends on is near it for so many times longer than it would be were it flat."""
+"""Factor on the stretch before an axis's hit in which the face itself counts as near; 1 would hold for a flat face."""
 _BOLD = 0.9
 
 
 def sub_rays(directions: Tensor, angle_rad: float) -> Tensor:
-    """(C, 6, 3) unit vectors at an angle about unit vectors (C, 3), every 60 degrees; float64."""
+    """Compute unit vectors (C, 6, 3) at an angle around unit vectors (C, 3), every 60 degrees; float64."""
     z, x = directions.new_tensor([0.0, 0.0, 1.0]), directions.new_tensor([1.0, 0.0, 0.0])
     side = torch.linalg.cross(torch.where(directions[:, 2:].abs() < 0.9, z, x), directions)
     side = side / side.norm(dim=-1, keepdim=True)
@@ -40,10 +40,10 @@ def sub_rays(directions: Tensor, angle_rad: float) -> Tensor:
 
 @torch.no_grad()
 def at_silhouettes(insertion: Insertion, angle_rad: float) -> Tensor:
-    """(C,) rows of the cast beams whose sub-rays, at an angle to the axis, may meet something else, ascending.
+    """Find the rows (C,) of cast beams whose sub-rays, at an angle to the axis, may hit something else; ascending.
 
-    That is: the cone comes near surface before the axis ends, or before the face that it ends on; or a sub-ray leaves
-    that face. Beams that do not pass the object's box cost nothing. Not differentiable.
+    A row is found if its cone comes near a surface before its axis ends, or before the face that its axis hits, or if a
+    sub-ray leaves that face. Beams that do not pass the object's box cost nothing. Not differentiable.
     """
     settings, beams = insertion.settings, insertion.beams
     theta, spread = insertion.theta.detach().double(), math.tan(angle_rad)
@@ -67,7 +67,7 @@ def at_silhouettes(insertion: Insertion, angle_rad: float) -> Tensor:
 
 
 def _box(insertion: Insertion, field: ObjectField) -> Box:
-    """The checked box of the object, from the rendering if it has one."""
+    """Return the verified bounding box of the object, from the SDF grid or the rendering if possible."""
     warm, settings = insertion.rendering.warm, insertion.settings
     if insertion.space is not None and settings.sdf_grid:
         return insertion.space.box
@@ -78,9 +78,9 @@ def _box(insertion: Insertion, field: ObjectField) -> Box:
 
 
 def _leave_the_face(row: Tensor, field: ObjectField, insertion: Insertion, angle_rad: float) -> tuple[Tensor, Tensor]:
-    """(H,) whether a sub-ray leaves the face of its axis's hit; (H,) range up to which the face itself is not near.
+    """Return the mask (H,) of hits with a sub-ray off the hit's face, and ranges (H,) before which it is not near.
 
-    A sub-ray would meet a flat face where it meets the plane through the hit; from there it is corrected.
+    A sub-ray is first intersected with the plane through the hit, then corrected.
     """
     theta = insertion.theta.detach().double()
     rotation = scene_R_object(theta)
@@ -106,9 +106,9 @@ def _leave_the_face(row: Tensor, field: ObjectField, insertion: Insertion, angle
 def _meet_face(
     origins: Tensor, directions: Tensor, k: Tensor, fall: Tensor, tolerance_m: Tensor, field: ObjectField
 ) -> Tensor:
-    """(S,) whether rays, object frame, meet surface next to ranges k (S,), where g falls by `fall` a metre (S,).
+    """Return the mask (S,) of rays that meet a surface next to ranges k (S,). The field falls by `fall` (S,) a metre.
 
-    Not finite counts as no.
+    Rays are in the object frame. A field value that is not finite counts as no surface.
     """
     met, rows, k = torch.zeros(len(k), dtype=torch.bool), torch.nonzero(fall > 0).squeeze(1), k.clone()
     for _ in range(1 + _CORRECTIONS):
@@ -121,7 +121,7 @@ def _meet_face(
 
 
 def _normals(field: ObjectField, x_object: Tensor) -> Tensor:
-    """(H, 3) float64 outward unit normals at places on the surface, object frame; 0 where the gradient is."""
+    """Compute outward unit normals (H, 3) float64 at surface points, object frame; 0 if the gradient is 0."""
     with torch.enable_grad():
         leaf = x_object.detach().requires_grad_()
         (gradient,) = torch.autograd.grad(field(leaf).sum(), leaf)
@@ -130,11 +130,12 @@ def _normals(field: ObjectField, x_object: Tensor) -> Tensor:
 
 
 def _touched(rays: Rays, field: ObjectField, spread: float, safety: float, max_step_m: float) -> Tensor:
-    """(M,) bool: rays that may have surface within spread * range of them on their stretch; object frame.
+    """Return the mask (M,) of rays that may have surface within spread * range on their stretch; object frame.
 
-    Sphere tracing of the cone: `safety` of the field's distance is free on either side of a place. So the next place is
-    chosen ahead of what is known to be free; where its own reach does not lead back, the ray is looked at where it was
-    left. A step is at least half the cone's radius; what it may miss counts as touched, and so does NaN.
+    Cone tracing with over-relaxed steps: `safety` times the field's distance is free on both sides of a position. The
+    next position lies ahead of the known free stretch. If its own free reach does not lead back, the ray is evaluated
+    again where the known stretch ends. A step is at least half the cone's radius. A cone that it may misjudge, or NaN,
+    counts as touched.
     """
     found = torch.zeros(len(rays), dtype=torch.bool)
     k, ahead, rows = rays.near_m.clone(), torch.zeros(len(rays), dtype=torch.float64), torch.arange(len(rays))
@@ -154,9 +155,9 @@ def _touched(rays: Rays, field: ObjectField, spread: float, safety: float, max_s
 
 
 def _near(radius: Tensor) -> tuple[Tensor, Tensor]:
-    """(M,) distance within which surface counts as touched by cones of a radius (M,), and the least step (M,), metres.
+    """Compute the distance (M,) at which surface counts as touched by cones of a radius (M,), and the least step (M,).
 
-    Halfway through such a step surface is nearer by half of it.
+    All in metres. Halfway through the least step, a surface is nearer by half of the step.
     """
     least = (0.5 * radius).clamp_min(_LEAST_STEP_M)
     return radius + 0.5 * least, least

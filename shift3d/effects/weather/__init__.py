@@ -1,1 +1,1 @@
-"""Weather: fog, rain and snow on the way of the light, and what rain does to the ground."""
+"""Weather: fog, rain and snow along the light path, and wet ground."""

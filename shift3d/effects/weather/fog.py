@@ -1,4 +1,4 @@
-"""Fog: light is lost on both ways, and the fog itself sends some back."""
+"""Fog: extinction on the way there and back, and backscatter from the fog itself."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from shift3d.scenes.facts import DetectorFacts, SceneFacts
 PULSE_S = 20e-9
 """tau, half the length of the sin^2 pulse: its width at half height."""
 TARGET_REFLECTIVITY = 1e-6
-"""Gamma; beta_0 = Gamma / pi is what the fog's backscatter is measured against."""
+"""Gamma. beta_0 = Gamma / pi is the reference of the fog's backscatter."""
 LIGHT_M_S = 299_792_458.0
 _DEPTHS, _PEAKS, _NODES = 200, 200, 3000
 
 
 def extinction_per_m(visibility_m: float) -> float:
-    """alpha = ln 20 / MOR, 1/m: at the meteorological optical range 5 % of the light is left."""
+    """Compute alpha = ln 20 / MOR, 1/m: 5 % of the light is left at the meteorological optical range."""
     return math.log(20.0) / visibility_m
 
 
 def backscatter_per_m(visibility_m: float) -> float:
-    """beta = 0.046 / MOR, 1/(m sr). Source: Hahner et al. 2021."""
+    """Compute beta = 0.046 / MOR, 1/(m sr). Source: Hahner et al. 2021."""
     return 0.046 / visibility_m
 
 
 @dataclass(frozen=True)
 class SoftEcho:
-    """The echo of fog in front of a surface at range R0, as a table over R0.
+    """Table over R0 of the fog's echo in front of a surface at range R0.
 
-    depth_m: (D,) R0, ascending. log_gain: (D,) log of beta / beta_0 * max over R of the integral over the pulse,
-    times exp(2 alpha 0.9 m): dense fog would leave nothing of it in float64. range_m: (D,) where it is reported.
+    depth_m: (D,) R0, ascending. log_gain: (D,) log of beta / beta_0 * max over R of the integral over the pulse, times
+    exp(2 alpha 0.9 m); without this factor dense fog underflows float64. range_m: (D,) reported range of the echo.
     """
 
     extinction_per_m: float
@@ -48,13 +48,12 @@ class SoftEcho:
     range_m: NDArray[np.float64]
 
     def at(self, range_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Log of the echo of fog over that of the surface in clear air, and the range that it reports.
+        """Compute the log ratio of the fog's echo to the surface's echo in clear air, and the fog's reported range.
 
         Args:
-            range_m: (K,) of the surfaces, metres. Those nearer than 0.9 m have no fog that the receiver sees in front
-                of them: -inf.
+            range_m: (K,) of the surfaces, metres. Below 0.9 m the receiver sees no fog in front of a surface: -inf.
         """
-        # Behind the last depth nothing changes any more, and most surfaces lie there.
+        # Beyond the last depth the echo is constant; most surfaces lie there.
         log_gain, reported_m = np.full_like(range_m, self.log_gain[-1]), np.full_like(range_m, self.range_m[-1])
         near = np.nonzero(range_m < self.depth_m[-1])[0]
         log_gain[near] = np.interp(range_m[near], self.depth_m, self.log_gain, left=-np.inf)
@@ -67,10 +66,10 @@ class SoftEcho:
 def soft_echo(extinction: float, backscatter: float) -> SoftEcho:
     """Tabulate the echo of fog.
 
-    The integral over the pulse, with r = R - c t / 2 in place of t, is that of sin^2(pi (R - r) / (c tau)) * w(r),
-    w(r) = xi(r) exp(-2 alpha r) / r^2, for r below R0 and within c tau behind R. As sin^2 x = (1 - cos 2x) / 2, three
-    running integrals of w give it for every R and R0. The pulse is symmetric and w starts at 0.9 m: the maximum over R
-    lies between c tau / 2 and c tau behind that, so that the pulse's tail never leaves w's beginning.
+    With r = R - c t / 2 in place of t, the integral over the pulse is that of sin^2(pi (R - r) / (c tau)) * w(r), w(r)
+    = xi(r) exp(-2 alpha r) / r^2, for r below R0 and within c tau behind R. As sin^2 x = (1 - cos 2x) / 2, three
+    running integrals of w give it for every R and R0. The pulse is symmetric and w starts at 0.9 m. The maximum over R
+    therefore lies between c tau / 2 and c tau beyond 0.9 m, and the pulse's tail always covers the start of w.
 
     Args:
         extinction, backscatter: alpha, 1/m, and beta, 1/(m sr).
@@ -81,12 +80,12 @@ def soft_echo(extinction: float, backscatter: float) -> SoftEcho:
     wave = 2.0 * math.pi / length
     first = 1e-3 / (1.0 + extinction)
     behind = np.concatenate(([0.0], np.geomspace(first, length, _NODES)))
-    behind = np.unique(np.append(behind, 0.1))  # where xi has its kink
+    behind = np.unique(np.append(behind, 0.1))  # the kink of xi
     node = OVERLAP_FROM_M + behind
     weight = overlap(torch.from_numpy(node)).numpy() * np.exp(-2.0 * extinction * behind) / node**2
     running = [_running(behind, weight * part) for part in (1.0, np.cos(wave * behind), np.sin(wave * behind))]
     depth = np.geomspace(first, length, _DEPTHS)
-    # peak: where the sensor says an echo lies whose maximum is received half a pulse later.
+    # peak: reported range of an echo whose maximum is received half a pulse later.
     peak = np.linspace(0.0, length / 2.0, _PEAKS)
     end = np.minimum(peak + length / 2.0, depth[:, None])
     whole, even, odd = (np.interp(end, behind, values) for values in running)
@@ -98,12 +97,12 @@ def soft_echo(extinction: float, backscatter: float) -> SoftEcho:
 
 
 def _running(x: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Integral from the first node up to each, by trapezoids."""
+    """Integrate from the first node up to each node, by the trapezoidal rule."""
     return np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(x))))
 
 
 def _maximum(values: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Maximum along rows (D, P) and where it is, by a parabola through the three largest samples; x evenly spaced."""
+    """Find the maximum along rows (D, P) by a parabola through the three largest samples; x evenly spaced."""
     row = np.arange(len(values))
     middle = np.clip(values.argmax(axis=1), 1, values.shape[1] - 2)
     before, here, after = (values[row, middle + offset] for offset in (-1, 0, 1))
@@ -115,28 +114,28 @@ def _maximum(values: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[NDArr
 class Fog(WeatherEffect):
     """The stronger of two echoes: that of the surface, exp(-2 alpha R0), and that of the fog in front of it.
 
-    Where the fog's wins, the point moves along the beam to the range of that echo's maximum. An echo's maximum arrives
-    half a pulse (c tau / 2, 3 m) after the first light, and a sensor that reports a surface at R0 has that taken off;
-    it is taken off the fog's echo too. So the point never lies behind the surface. A beam shows the fog in its first
-    return alone: a later one that the fog outshines is lost (our choice). No noise is added to this range: the authors'
-    code scatters it by one of four random factors, none of which the equations give; our choice is the smooth fog of
-    the equations, in which it has one value. An echo of fog is not from the object (`on_object` False), with cosine 1.
+    If the fog's echo wins, the point moves along the beam to the range of that echo's maximum. An echo's maximum
+    arrives half a pulse (c tau / 2, 3 m) after the first light. A sensor that reports a surface at R0 subtracts that
+    delay, so that it is subtracted from the fog's echo too, and the point never lies behind the surface. Only the first
+    return of a beam can show fog: a later return that the fog outshines is lost (our choice). This range has no noise:
+    the authors' code scatters it by one of four random factors that the equations do not contain; our choice is the
+    smooth fog of the equations. An echo of fog is not from the object (`on_object` False) and has cosine 1.
 
-    A surface's echo is lost below the sensor's least power, where that is known (`power.PowerLimit`). The fog's is
-    not asked for it: it is calibrated (Gamma) against the echo of surfaces alone, not on the scale of albedo. As in
-    the published method it is proportional to the reflectance of the surface behind it.
+    A surface's echo is lost below the sensor's least power, if that is known (`power.PowerLimit`). The fog's echo is
+    not tested: its calibration (Gamma) relates it to the echo of surfaces, not to the scale of albedo. As in the
+    published method it is proportional to the reflectance of the surface behind it.
 
-    Changed are also reflectance, as a sensor reports it (power times range squared), and albedo: from here on the
-    apparent one, as seen through the fog, so that effects that follow weaken what is left. Left as they are:
-    directions, cosine of surfaces, points that the fog does not outshine, rows without a return (fog in front of the
-    sky is left out). Unlimited visibility changes nothing.
+    Also changes reflectance, as a sensor reports it (power times range squared), and albedo, which becomes the apparent
+    albedo through the fog, so that later effects weaken the rest. Leaves unchanged: directions, cosine of surfaces,
+    points that the fog does not outshine, rows without a return (fog in front of the sky is neglected). Unlimited
+    visibility changes nothing.
 
-    With rain and snow: each acts in turn on what the one before has left. Extinctions add up as they should; left out
-    is that drops and flakes in front of the surface are themselves seen through the fog, and fog's echo through rain
-    beyond its own range.
+    With rain and snow: each effect acts on the result of the one before. Extinctions add up as they should. Two things
+    are left out: the fog's extinction on echoes of drops and flakes in front of the surface, and the rain's extinction
+    on the fog's echo beyond the echo's own range.
 
-    Differentiable: points that stay. The gradient ignores that echoes are lost or replaced, and at which range that
-    happens; points of fog, reflectance and albedo carry none.
+    Differentiable: points that stay. The gradient ignores the loss and replacement of echoes and the range at which
+    they happen; points of fog, reflectance and albedo carry none.
 
     Source: Hahner et al. 2021, equations; range correction as in the authors' code (a maximum received later than R0
     counts here, too); noise and least power: our choice.
@@ -145,7 +144,7 @@ class Fog(WeatherEffect):
     name = "fog"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Where a hundredth of the light is lost as far as there is something to see, and that shows: in reflectance,
+        """Return a reason if 1 % of the light is lost within the scene's reach and the loss can show: in reflectance,
         at the sensor's limit, or because fog outshines surfaces."""
         visibility_m = scene.conditions.visibility_m
         extinction, reach = extinction_per_m(visibility_m), reach_m(scene.conditions)
@@ -160,7 +159,7 @@ class Fog(WeatherEffect):
         return reason if outshone_m is None else f"{reason}; fog outshines surfaces from {outshone_m:.0f} m on"
 
     def bind(self, context: EffectContext) -> ReturnsStep:
-        """The table, once for each visibility in a process; two draws a beam where the limit is known."""
+        """Tabulate the echo once for each visibility in a process. Draws two values a beam if the limit is known."""
         visibility_m = context.scene.conditions.visibility_m
         if math.isinf(visibility_m):
             return unchanged
@@ -182,7 +181,7 @@ def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit, later: Tensor |
     if later is not None:
         lost |= fog & later[returns.row]
     rows = fog.nonzero().squeeze(1)
-    # As reported: power times the square of the range that the sensor believes.
+    # Reported reflectance: power times the square of the reported range.
     nearness = soft_m[rows] / range_m[rows]
     left = torch.where(returns.returned, transmission, 1.0)
     left = left.index_copy(0, rows, torch.exp(log_soft[rows]) * nearness**2)
@@ -198,7 +197,7 @@ def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit, later: Tensor |
 
 
 def _outshone_from_m(visibility_m: float, reach: float) -> float | None:
-    """Range beyond which fog outshines surfaces, to half a metre; None where that is beyond reach."""
+    """Find the range beyond which fog outshines surfaces, to half a metre; None if it lies beyond reach."""
     range_m = np.arange(1.0, reach, 0.5)
     soft = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
     won = soft.at(range_m)[0] > -2.0 * soft.extinction_per_m * range_m

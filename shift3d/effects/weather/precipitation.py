@@ -1,4 +1,4 @@
-"""Rain and snow: particles in the beam weaken echoes and send back their own."""
+"""Rain and snow: particles in the beam weaken echoes and return their own."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
 
 EXIT_M, DIVERGENCE_RAD = 0.01, 2e-3
-"""Width of a beam where it leaves the sensor, and its full angle where the sensor states none (our choice: HDL-64E)."""
+"""Width of a beam at the sensor, and its full angle if the sensor states none (our choice: HDL-64E)."""
 LEAST_ALBEDO = 0.01
-"""Of what sent an echo: a reported 0 is a rounding, not a surface that any particle outshines (our choice)."""
+"""Least albedo behind an echo: a reported 0 is a rounding, not a surface that any particle outshines (our choice)."""
 PULSE_M = 0.09
-"""Range accuracy Delta R of LISA (Kilic et al. 2021), of which a strong echo's noise is a small part."""
+"""Range accuracy Delta R of LISA (Kilic et al. 2021); a strong echo's noise is a small part of it."""
 EXTINCTION_EFFICIENCY = 2.0
 """Q_ext of particles much larger than the wavelength: pi D / wavelength is 3500 for a drop of 1 mm at 905 nm."""
 _FAR_M, _LEAST_POWER, _MOST_POWER = 250.0, 1e-10, 10.0
@@ -34,9 +34,9 @@ _RANGES, _POWERS = 512, 256
 
 @dataclass(frozen=True)
 class Particles:
-    """Particles in the air, as many of diameter D as N(D) = density exp(-slope D).
+    """Particles in the air with the size distribution N(D) = density exp(-slope D), D in mm.
 
-    density: 1/(m^3 mm). slope: 1/mm. albedo: of a diffuse disc that sends as much back. D in mm.
+    density: 1/(m^3 mm). slope: 1/mm. albedo: of a diffuse disc that sends back as much light.
     """
 
     density: float
@@ -45,7 +45,7 @@ class Particles:
 
     @functools.cached_property
     def extinction_per_m(self) -> float:
-        """alpha = 1e-6 (pi / 4) integral of D^2 Q_ext N(D) over D in mm, 1/m; 1e-6 is from mm^2 to m^2."""
+        """alpha = 1e-6 (pi / 4) integral of D^2 Q_ext N(D) over D in mm, 1/m; 1e-6 converts mm^2 to m^2."""
         u, weight = np.polynomial.laguerre.laggauss(16)  # u = slope D, with exp(-u) in the weights
         diameter = u / self.slope
         integral = (weight * diameter**2 * EXTINCTION_EFFICIENCY).sum() * self.density / self.slope
@@ -53,18 +53,18 @@ class Particles:
 
     @property
     def per_m3(self) -> float:
-        """Particles of all sizes, 1/m^3."""
+        """Number of particles of all sizes, 1/m^3."""
         return self.density / self.slope
 
 
 def extra_noise_m(power: Tensor, transmission: Tensor, least: float) -> Tensor:
-    """(K,) standard deviation, metres, by which weakened echoes scatter more than they did; 0 where nothing is lost.
+    """Compute the additional range noise (K,) of weakened echoes, standard deviation in metres; 0 if no light is lost.
 
     Args:
-        power, least: (K,) of the echoes before, and the sensor's least, 1/m^2. transmission: (K,) in [0, 1].
+        power, least: (K,) power before the weather, and the sensor's least power, 1/m^2. transmission: (K,) in [0, 1].
 
-    A range scatters by PULSE_M / sqrt(2 SNR), SNR = power / least power, at least 1 for what is noticed; what is
-    added is the difference of the variances, since scene and sensor have the noise of clear air already.
+    A range scatters by PULSE_M / sqrt(2 SNR), SNR = power / least power, at least 1 for a detected echo. The difference
+    of the variances is added, because scene and sensor have the noise of clear air already.
 
     Source: Kilic et al. 2021. Not the 0.02 R (1 - exp(-rate))^2 of Goodin et al. 2019: that is 0.4 m at 20 m in any
     rain above 3 mm/h, fifty times what sensors show; with it, rain took 0.69 of a score of 0.84 by noise alone.
@@ -76,9 +76,9 @@ def extra_noise_m(power: Tensor, transmission: Tensor, least: float) -> Tensor:
 
 @dataclass(frozen=True)
 class Crossings:
-    """How many particles in the beam send back more than some power.
+    """Expected numbers of particles in the beam that send back more than a given power.
 
-    expected: (P, J), of power P, 1/m^2, log-spaced, and nearer than range J, metres, log-spaced from 0.9 m.
+    expected: (P, J), for power P, 1/m^2, log-spaced, and ranges below J, metres, log-spaced from 0.9 m.
     """
 
     particles: Particles
@@ -86,11 +86,11 @@ class Crossings:
     expected: NDArray[np.float64]
 
     def width_m(self, range_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Diameter of the beam."""
+        """Compute the diameter of the beam."""
         return EXIT_M + self.divergence_rad * range_m
 
     def least_mm(self, power: NDArray[np.float64], range_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Diameter of the smallest particle that sends back such power; infinite where none is wide enough.
+        """Compute the diameter of the smallest particle that sends back a power; infinite if none is wide enough.
 
         A particle covers the share s = (D / width)^2 of the beam and sends back albedo s xi(r) exp(-2 alpha r) / r^2.
         """
@@ -101,15 +101,15 @@ class Crossings:
     def nearest(
         self, power: NDArray[np.float64], range_m: NDArray[np.float64], arrival: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Range of the nearest particle that sends back more than a power.
+        """Compute the range of the nearest particle that sends back more than a power.
 
-        Particles are a Poisson process along the beam: nearer than r lie Lambda(r) of them on average, so that the
-        nearest is where Lambda(r) = E, E exponential with mean 1.
+        Particles are a Poisson process along the beam with mean number Lambda(r) nearer than r. The nearest particle
+        lies at Lambda(r) = E, E exponential with mean 1.
 
         Args:
-            power, range_m: (K,) to outdo, and where to stop. arrival: (K,) the draws E.
+            power, range_m: (K,) power to exceed, and range at which the search stops. arrival: (K,) the draws E.
 
-        Returns: (K,) metres; infinite where there is none.
+        Returns: (K,) metres; infinite if there is none.
         """
         row = _index(power, _LEAST_POWER, _MOST_POWER, _POWERS)
         stop = _index(range_m, OVERLAP_FROM_M, _FAR_M, _RANGES)
@@ -131,7 +131,7 @@ class Crossings:
         return (1.0 - part) * self._column(row, low) + part * self._column(row, low + 1)
 
     def _where(self, row: NDArray[np.float64], arrival: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Column at which `expected` reaches the arrival, by halving; expected never falls along a row."""
+        """Find the column at which `expected` reaches the arrival, by bisection; expected never falls along a row."""
         low, high = np.zeros(len(row), np.int64), np.full(len(row), _RANGES - 1)
         for _ in range(_RANGES.bit_length()):
             middle = (low + high) // 2
@@ -142,14 +142,14 @@ class Crossings:
 
 
 def _index(values: NDArray[np.float64], first: float, last: float, count: int) -> NDArray[np.float64]:
-    """Place of values among `count` log-spaced ones; outside: the ends."""
+    """Compute the fractional index of values among `count` log-spaced ones, clipped to the ends."""
     place = np.log(np.maximum(values, first) / first) * ((count - 1) / math.log(last / first))
     return np.minimum(place, count - 1.0)
 
 
 @functools.cache
 def crossings(particles: Particles, divergence_rad: float) -> Crossings:
-    """Tabulate what particles send back into a beam.
+    """Tabulate the expected numbers of particles that send light back into a beam.
 
     Lambda(p, R) = integral over r from 0.9 m to R of (pi / 4) width(r)^2 n(D > D_min(p, r)),
     n(D > x) = density / slope exp(-slope x).
@@ -157,7 +157,7 @@ def crossings(particles: Particles, divergence_rad: float) -> Crossings:
     empty = Crossings(particles, divergence_rad, np.zeros((0, 0)))
     power = np.geomspace(_LEAST_POWER, _MOST_POWER, _POWERS)[:, None]
     edge = np.geomspace(OVERLAP_FROM_M, _FAR_M, _RANGES)
-    middle = 0.5 * (edge[1:] + edge[:-1])  # at 0.9 m itself nothing is seen at all
+    middle = 0.5 * (edge[1:] + edge[:-1])  # the overlap at 0.9 m is 0
     counted = particles.per_m3 * np.exp(-particles.slope * empty.least_mm(power, middle))
     steps = counted * math.pi / 4.0 * empty.width_m(middle) ** 2 * np.diff(edge)
     return replace(empty, expected=np.concatenate((np.zeros((_POWERS, 1)), np.cumsum(steps, axis=1)), axis=1))
@@ -165,10 +165,10 @@ def crossings(particles: Particles, divergence_rad: float) -> Crossings:
 
 @dataclass(frozen=True)
 class ParticleEchoes:
-    """Particles in front of what beams meet.
+    """Particles in front of the surfaces that beams meet.
 
-    arrival, size: (N,) exponential draws: where a beam's nearest particle is, and how wide; alike for the returns of
-    one beam. noise: (N,) normal draws. later: (N,) bool, returns behind another of their beam; None: there are none.
+    arrival, size: (N,) exponential draws for position and width of a beam's nearest particle; equal for all returns of
+    a beam. noise: (N,) normal draws. later: (N,) bool, returns behind another of their beam; None: there are none.
     """
 
     crossings: Crossings
@@ -180,7 +180,7 @@ class ParticleEchoes:
 
     @staticmethod
     def of(context: EffectContext, effect: str, particles: Particles) -> ParticleEchoes:
-        """Particles in the beams of a context."""
+        """Draw the particles in the beams of a context."""
         sensor = context.scene.sensor or SensorModel()
         paired = BeamReturns.of(context)
         drawn = (
@@ -194,10 +194,10 @@ class ParticleEchoes:
         return ParticleEchoes(table, PowerLimit.of(context, effect), arrival, size, noise, later)
 
     def act(self, returns: Returns) -> Returns:
-        """Weaken echoes, lose what is too weak, and put the nearest particle in the place of what it outdoes.
+        """Weaken echoes, remove those that are too weak, and replace echoes by the nearest particle that exceeds them.
 
-        A particle is in the place of the echo behind it if it sends back more, and at least the sensor's least power.
-        Of a beam's later returns, those that a particle outdoes are lost.
+        A particle replaces the echo behind it if it sends back more, and at least the sensor's least power. Later
+        returns of a beam that a particle exceeds are lost.
         """
         range_m = returns.range_m.detach()
         transmission = torch.exp(-2.0 * self.crossings.particles.extinction_per_m * range_m)
@@ -229,7 +229,7 @@ class ParticleEchoes:
     ) -> Returns:
         row, kind = particle.nonzero().squeeze(1), self.crossings.particles
         at_m = nearest[row.numpy()]
-        # Of an exponential distribution, what lies above a bound is distributed as the whole, from that bound on.
+        # The exponential distribution is memoryless: the excess over a bound is distributed like the whole.
         beyond = self.size[returns.row[row]].numpy() / kind.slope
         diameter = self.crossings.least_mm(outdone[row.numpy()], at_m) + beyond
         share = np.minimum(1e-3 * diameter / self.crossings.width_m(at_m), 1.0) ** 2
@@ -244,27 +244,26 @@ class ParticleEchoes:
 class Precipitation(WeatherEffect):
     """Rain or snow: `ParticleEchoes` of its particles.
 
-    name: "rain" or "snow", whose rate the conditions state. particles: at such a rate, mm/h of water, above 0.
+    name: "rain" or "snow"; the conditions state its rate. particles: by rate, mm/h of water, above 0.
 
-    A particle counts if its centre is in the beam, a cone of `DIVERGENCE_RAD` or what the sensor states. It covers the
-    share (D / width)^2 of the beam; particles that outdo the echo behind them are then a Poisson process along the beam
-    (`crossings`), of which the nearest becomes the return: met with the probability 1 - exp(-Lambda). A beam shows it
-    in its first return alone: a later one that it outdoes is lost (our choice). Its echo is not from the object
-    (`on_object` False), with cosine 1 and the apparent albedo that gives its power. All others weaken the echo behind
-    them, by their mean extinction.
+    A particle counts if its centre is in the beam, a cone of `DIVERGENCE_RAD` or of the sensor's stated divergence. It
+    covers the share (D / width)^2 of the beam. Particles that exceed the echo behind them form a Poisson process along
+    the beam (`crossings`). The nearest becomes the return, with the probability 1 - exp(-Lambda). Only the first return
+    of a beam can show it: a later return that it exceeds is lost (our choice). Its echo is not from the object
+    (`on_object` False) and has cosine 1 and the apparent albedo of its power. All other particles weaken the echo
+    behind them by their mean extinction.
 
-    Echoes of surfaces are lost below the sensor's least power, where that is known, and their ranges then scatter by
-    `extra_noise_m`, along the beam. Reflectance and albedo are from here on as seen through the particles. Left as they
-    are: directions, cosine of surfaces, rows without a return (particles in front of the sky are left out). A rate of 0
+    Echoes of surfaces are lost below the sensor's least power, if that is known, and their ranges scatter by
+    `extra_noise_m` along the beam. Reflectance and albedo become those seen through the particles. Leaves unchanged:
+    directions, cosine of surfaces, rows without a return (particles in front of the sky are neglected). A rate of 0
     changes nothing.
 
-    With fog and each other: each acts in turn on what the one before has left. Extinctions add up as they should; left
-    out is that a particle is itself seen through the weather in front of it.
+    With fog and each other: each effect acts on the result of the one before. Extinctions add up as they should; the
+    weather in front of a particle does not weaken the particle's echo.
 
-    Differentiable: surfaces keep their gradients. The gradient ignores that echoes are lost or replaced, and that the
-    noise depends on the range; points of particles, reflectance and albedo carry none.
-
-    Source: Kilic et al. 2021 (limit and noise); the rest: our choice.
+    Differentiable: surfaces keep their gradients. The gradient ignores the loss and replacement of echoes and the
+    noise's dependence on the range; points of particles, reflectance and albedo carry none. Source: Kilic et al. 2021
+    (limit and noise); the rest: our choice.
     """
 
     def __init__(self, name: str, particles: Callable[[float], Particles]) -> None:
@@ -275,7 +274,7 @@ class Precipitation(WeatherEffect):
         return rate
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Where a hundredth of the light is lost as far as there is something to see."""
+        """Return a reason if 1 % of the light is lost within the scene's reach."""
         rate = self._rate_mm_h(scene.conditions)
         if rate == 0.0:
             return None
@@ -286,6 +285,6 @@ class Precipitation(WeatherEffect):
         return f"{self.name} {rate:g} mm/h: {lost:.2g} % of the light is lost at 30 m and back"
 
     def bind(self, context: EffectContext) -> ReturnsStep:
-        """Three draws a beam, and two more where the sensor's limit is known."""
+        """Draw three values a beam, and two more if the sensor's limit is known."""
         rate = self._rate_mm_h(context.scene.conditions)
         return unchanged if rate == 0.0 else ParticleEchoes.of(context, self.name, self.particles(rate)).act

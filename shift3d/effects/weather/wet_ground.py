@@ -1,4 +1,4 @@
-"""Wet ground: a film of water darkens it."""
+"""Wet ground: darkening by a film of water."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 WATER_INDEX = 1.33
 GROUND_BAND_M = 0.3
-"""Height about the nominal ground within which a point is taken for ground."""
+"""A point within this height of the nominal ground counts as ground."""
 _DRY_ALBEDO, _TYPICAL_M = 0.3, 20.0
 
 
 def reflected(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
-    """Share (K,) of unpolarised light that a face between two media reflects. Source: Fresnel.
+    """Compute the share (K,) of unpolarised light that an interface of two media reflects. Source: Fresnel.
 
     Args:
-        cosine: (K,) of incidence, in [0, 1]. index: refractive index behind the face over that before it. Where it is
-            below 1 (from water into air) the light beyond the critical angle is reflected wholly.
+        cosine: (K,) of incidence, in [0, 1]. index: refractive index behind the interface over that before it. If it is
+            below 1 (from water into air), light beyond the critical angle is reflected wholly.
     """
     behind = (1.0 - (1.0 - cosine**2) / index**2).clamp(min=0.0).sqrt()
-    # Both denominators vanish where both cosines do: along the face, where everything is reflected.
+    # Both denominators vanish at grazing incidence (both cosines 0), where everything is reflected.
     tiny = torch.finfo(torch.float64).tiny
     across = (cosine - index * behind) / (cosine + index * behind).clamp(min=tiny)
     along = (index * cosine - behind) / (index * cosine + behind).clamp(min=tiny)
@@ -37,10 +37,10 @@ def reflected(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
 
 @functools.cache
 def trapped() -> float:
-    """R_wa: share of diffuse light from below that the water's surface throws back.
+    """Compute R_wa: share of diffuse light from below that the water's surface reflects.
 
-    As light takes the same way in both directions and spreads by n^2, 1 - R_wa = (1 - R_aw) / n^2 with R_aw of
-    diffuse light from above, the integral of 2 cos R(cos) d(cos), which is smooth: there is no critical angle.
+    Light takes the same path in both directions and spreads by n^2, so that 1 - R_wa = (1 - R_aw) / n^2. R_aw of
+    diffuse light from above is the integral of 2 cos R(cos) d(cos), which is smooth: it has no critical angle.
     """
     node, weight = np.polynomial.legendre.leggauss(64)
     cosine = torch.from_numpy(0.5 * (node + 1.0))
@@ -49,11 +49,11 @@ def trapped() -> float:
 
 
 def wet_albedo(albedo: Tensor, cosine: Tensor) -> Tensor:
-    """Apparent albedo (K,) of a diffuse ground under water, T_aw rho T_wa / (1 - rho R_wa).
+    """Compute the apparent albedo (K,) of diffuse ground under water, T_aw rho T_wa / (1 - rho R_wa).
 
-    T_aw = 1 - R(incidence) enters the water. T_wa leaves it back to where it came from: the same transmission, and
-    1 / n^2 because light that leaves water spreads over a wider angle. What is thrown back between meets the ground
-    again, diffusely: R_wa. Water absorbs nothing on the way (a millimetre: 1 % at 905 nm).
+    T_aw = 1 - R(incidence) enters the water. T_wa leaves it towards the sensor: the same transmission, and 1 / n^2
+    because light that leaves water spreads over a wider angle. The surface reflects R_wa back to the ground, which
+    scatters it diffusely again. Absorption in the water is neglected (a millimetre: 1 % at 905 nm).
 
     Args:
         albedo: (K,) of the dry ground. cosine: (K,) of incidence on the water.
@@ -63,27 +63,24 @@ def wet_albedo(albedo: Tensor, cosine: Tensor) -> Tensor:
 
 
 class WetGround(WeatherEffect):
-    """The scene's ground, seen through a film of water: its albedo and reflectance fall, and echoes below the sensor's
-    least power are lost.
+    """Film of water on the ground. It reduces albedo and reflectance; echoes below the sensor's least power are lost.
 
-    Ground is what lies within `GROUND_BAND_M` of the nominal height and is met from above; its normal is vertical,
-    so that the beam's direction gives the incidence. Feet of what stands on it are wet alike. The film covers all of
-    it, whatever the rate (our choice); puddles that mirror what lies behind are left out.
+    Ground is a point within `GROUND_BAND_M` of the nominal height that is met from above. Its normal is vertical, so
+    that the beam's direction gives the incidence. The feet of objects on the ground are wet alike. The film covers all
+    of the ground at any rate (our choice); mirroring puddles are left out.
 
-    Left as they are: points, directions, the object, everything above the ground, and scenes whose points carry their
-    weather already. No rain changes nothing.
+    Leaves unchanged: points, directions, the object, everything above the ground, and scenes whose points contain their
+    weather. No rain changes nothing. Not differentiable.
 
-    Differentiable: nothing is; the object's points pass untouched.
-
-    Source: Fresnel transmission both ways (reference equations); diffuse light within the film: our choice (Lekner
-    and Dorf 1988).
+    Source: Fresnel transmission both ways (reference equations); diffuse light inside: our choice (Lekner and Dorf
+    1988).
     """
 
     name = "wet_ground"
     reads_incidence = False
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Where rain is not in the points yet, and ground is in view."""
+        """Return a reason if the points do not contain the rain yet, and ground is in view."""
         conditions = scene.conditions
         if conditions.weather_in_points or not scene.ground_in_view:
             return None
@@ -95,7 +92,7 @@ class WetGround(WeatherEffect):
         )
 
     def bind(self, context: EffectContext) -> ReturnsStep:
-        """Two draws a beam."""
+        """Draw two values a beam."""
         conditions, sensor = context.scene.conditions, context.scene.sensor
         known = sensor is not None and sensor.limit_range_m is not None
         if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:

@@ -1,4 +1,4 @@
-"""The files of one log: sweeps, poses, calibration, annotations."""
+"""Files of one log: sweeps, poses, calibration, annotations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 
 
 def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
-    """The columns of a file; others are not read.
+    """Read some columns of a Feather file; other columns are not read.
 
     Raises InputError: the file is missing, no Feather file or cut short, lacks a column, or has no rows.
     """
@@ -39,7 +39,7 @@ def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
 
 
 def column(table: pa.Table, name: str, dtype: type[np.generic], file: Location) -> NDArray[Any]:
-    """One column of numbers, (rows,), cast to a dtype. Raises InputError: it is no numbers, or has gaps."""
+    """Return one numeric column (rows,), cast to a dtype. Raises InputError: it is not numeric, or has gaps."""
     found = table[name]
     number = pa.types.is_integer(found.type) or pa.types.is_floating(found.type)
     if found.null_count or not number:
@@ -49,7 +49,7 @@ def column(table: pa.Table, name: str, dtype: type[np.generic], file: Location) 
 
 
 def poses(table: pa.Table, file: Location) -> NDArray[np.float64]:
-    """(rows, 4, 4) of the columns qw, qx, qy, qz, tx_m, ty_m, tz_m. Raises InputError: one is no pose."""
+    """Convert columns qw, qx, qy, qz, tx_m, ty_m, tz_m to poses (rows, 4, 4). Raises InputError: one is no pose."""
     numbers = np.stack([column(table, name, np.float64, file) for name in _POSE], axis=1)
     return from_quaternion(numbers[:, :4], numbers[:, 4:], str(file))
 
@@ -58,7 +58,7 @@ Float = NDArray[np.float64]
 
 UP, DOWN = "up_lidar", "down_lidar"
 BEAMS_A_LIDAR = 32
-"""Laser numbers below it are those of the upper LiDAR, the others of the lower one."""
+"""Laser numbers below this belong to the upper LiDAR, the others to the lower LiDAR."""
 _VEHICLES = """REGULAR_VEHICLE LARGE_VEHICLE BUS BOX_TRUCK TRUCK TRUCK_CAB SCHOOL_BUS ARTICULATED_BUS VEHICULAR_TRAILER
 RAILED_VEHICLE MESSAGE_BOARD_TRAILER TRAFFIC_LIGHT_TRAILER"""
 _PEDESTRIANS = "PEDESTRIAN OFFICIAL_SIGNALER"
@@ -70,18 +70,18 @@ CLASSES = {
     for names, kind in ((_VEHICLES, "vehicle"), (_PEDESTRIANS, "pedestrian"), (_CYCLISTS, "cyclist"), (_OTHER, "other"))
     for name in names.split()
 }
-_FARTHEST_NS = 20_000_000  # from a sweep's start and last firing to the nearest pose; poses come every 5 to 10 ms
-_SHORTEST_NS, _LONGEST_NS = 1_000_000, 200_000_000  # of a sweep's last firing: a hundredth of a turn, and two
+_FARTHEST_NS = 20_000_000  # from a sweep's start and last firing to the nearest pose; poses are 5 to 10 ms apart
+_SHORTEST_NS, _LONGEST_NS = 1_000_000, 200_000_000  # of a sweep's last firing: a hundredth of a turn, and two turns
 _AT_ONCE = np.zeros(1, dtype=np.int64)
-_TENTH_NS = 100_000_000  # over which the vehicle's velocity is taken
+_TENTH_NS = 100_000_000  # interval of the velocity estimate
 
 
 @dataclass(frozen=True)
 class Sweep:
     """One turn of both LiDARs, in the order of the file.
 
-    points: (N, 3) float32, metres, vehicle frame at the sweep's start. reflectance: (N,) float32, 0 to 1.
-    is_up: (N,) bool, of the upper LiDAR. offset_ns: (N,) int64 since the sweep's start.
+    points: (N, 3) float32, metres, vehicle frame at the sweep's start. reflectance: (N,) float32, 0 to 1. is_up: (N,)
+    bool, point of the upper LiDAR. offset_ns: (N,) int64 since the sweep's start.
     """
 
     points: NDArray[np.float32]
@@ -95,12 +95,12 @@ def sweep_file(log: Location, timestamp: int) -> Location:
 
 
 def timestamps(log: Location) -> list[int]:
-    """Starts of a log's sweeps, nanoseconds, ascending."""
+    """List the start times of a log's sweeps, nanoseconds, ascending."""
     return sorted(int(stem) for stem in stems_in(log / "sensors" / "lidar", ".feather") if stem.isdecimal())
 
 
 def read_sweep(log: Location, timestamp: int) -> Sweep:
-    """Raises InputError: the file is missing, damaged, or its laser numbers are not those of two LiDARs."""
+    """Read a sweep. Raises InputError: the file is missing or damaged, or laser numbers do not fit two LiDARs."""
     file = sweep_file(log, timestamp)
     table = feather_table(file, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
     points = np.stack([column(table, name, np.float32, file) for name in ("x", "y", "z")], axis=1)
@@ -119,7 +119,7 @@ def read_sweep(log: Location, timestamp: int) -> Sweep:
 
 
 def lidar_mounts(log: Location) -> tuple[Float, Float]:
-    """(3,) of the upper and of the lower LiDAR in the vehicle frame, metres. Raises InputError: one is missing."""
+    """Read positions (3,) of upper and lower LiDAR, vehicle frame, metres. Raises InputError: one is missing."""
     file = log / "calibration" / "egovehicle_SE3_sensor.feather"
     table = feather_table(file, ("sensor_name", *_POSE))
     names, mounts = table["sensor_name"].to_pylist(), poses(table, file)
@@ -130,7 +130,7 @@ def lidar_mounts(log: Location) -> tuple[Float, Float]:
 
 
 def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _AT_ONCE) -> Float:
-    """(N, 4, 4) of the vehicle in the city at each of the times after a sweep's start.
+    """Compute the vehicle's poses (N, 4, 4) in the city frame at each time after a sweep's start.
 
     Raises InputError: the poses are missing, damaged, out of order, or of another time.
     """
@@ -143,7 +143,7 @@ def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _
 
 
 def ego_velocity_m_s(log: Location, timestamp: int) -> tuple[float, float, float] | None:
-    """Of the vehicle over the tenth of a second after a sweep's start, its frame there; None where no pose is later.
+    """Compute the vehicle's velocity over 0.1 s after a sweep's start, in its frame there; None without a later pose.
 
     Raises: as `city_SE3_ego`.
     """
@@ -161,7 +161,7 @@ def _poses_file(log: Location) -> Location:
 
 
 def _city_poses(log: Location) -> tuple[NDArray[np.int64], Float]:
-    """Times (K,), nanoseconds, ascending, and poses (K, 4, 4) of the vehicle in the city."""
+    """Read times (K,), nanoseconds, ascending, and poses (K, 4, 4) of the vehicle in the city frame."""
     file = _poses_file(log)
     table = feather_table(file, ("timestamp_ns", *_POSE))
     times = column(table, "timestamp_ns", np.int64, file)
@@ -170,10 +170,10 @@ def _city_poses(log: Location) -> tuple[NDArray[np.int64], Float]:
 
 
 def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offset: Float) -> Labels:
-    """Boxes of a sweep, in file order; none where it has no annotations, or the log has none, as in the test split.
+    """Read the boxes of a sweep, in file order; none if the sweep or the log (test split) has no annotations.
 
     Args:
-        points: (N, 3) scene frame; they are counted. offset: (3,) of the scene's origin in the vehicle frame, metres.
+        points: (N, 3) scene frame; counted in the boxes. offset: (3,) scene origin in the vehicle frame, metres.
 
     Raises InputError: the file is damaged, of another log, or has an unknown category.
     """

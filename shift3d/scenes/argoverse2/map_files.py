@@ -1,4 +1,4 @@
-"""The map of a log: heights of the ground in a raster, drivable areas as outlines, both in the city's frame."""
+"""Map of a log in the city frame: a raster of ground heights, and outlines of drivable areas."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from shift3d.store.location import Location
 Float = NDArray[np.float64]
 
 _HEIGHTS, _RASTER, _OUTLINES = "_ground_height_surface____", "___img_Sim2_city.json", "log_map_archive_"
-_REACH_M = 90.0  # of the raster's part that is read: the corners of the scene's map
+_REACH_M = 90.0  # half side of the raster's part that is read; reaches the corners of the scene's map
 _AGAIN = "Copy the log's map/ again, or remove the folder"
 
 
 def map_files(log: Location) -> list[Location]:
-    """The files of a log's map that scenes are made of, in order of their names; none where it has no map."""
+    """List a log's map files that scenes use, in order of name; none if the log has no map."""
     known = [name for name in names_in(log / "map") if _HEIGHTS in name or _RASTER in name or _OUTLINES in name]
     return [log / "map" / name for name in sorted(known)]
 
 
 def read_ground_map(log: Location, city_SE3_scene: Float) -> GroundMap | None:
-    """The ground around a scene; None where the log has no map. Heights, outlines, or both may be there.
+    """Read the ground around a scene: heights, drivable areas, or both. Returns None if the log has no map.
 
-    city_SE3_scene: (4, 4), metres. Raises InputError: a file is damaged, or heights lack their raster's place.
+    city_SE3_scene: (4, 4), metres. Raises InputError: a damaged file, or heights without the raster's transform.
     """
     files = map_files(log)
     by_kind = {kind: [file for file in files if kind in file.name] for kind in (_HEIGHTS, _RASTER, _OUTLINES)}
@@ -49,7 +49,7 @@ def read_ground_map(log: Location, city_SE3_scene: Float) -> GroundMap | None:
 
 
 def _heights(file: Location, placed_by: Location, centre_m: Float) -> Float:
-    """(N, 3) middles of the raster's cells near a place (x, y), city frame: raster = s (R city + t), truncated."""
+    """Read the raster's cell centres (N, 3) around (x, y), city frame. raster = s (R city + t), truncated."""
     raster = read_array(file)
     values = _json(placed_by)
     try:
@@ -75,7 +75,7 @@ def _heights(file: Location, placed_by: Location, centre_m: Float) -> Float:
 
 
 def _outlines(file: Location) -> list[Float]:
-    """(V, 3) each, city frame."""
+    """Read the outlines of drivable areas, (V, 3) each, city frame."""
     try:
         areas = _json(file)["drivable_areas"].values()
         found = [

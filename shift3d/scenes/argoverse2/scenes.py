@@ -1,4 +1,4 @@
-"""Sweeps of Argoverse 2 as scenes."""
+"""Argoverse 2 sweeps as scenes."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ class Argoverse2Scenes(RecordedScenes):
     Args:
         root: a split (train/, val/, test/), which holds logs, or one log.
         names: ``LOG-TIMESTAMP`` of the sweeps to use; None: every sweep, in order.
-        count: the first so many; those after them are not looked for.
-        every: of each log every n-th sweep, of those that are not named.
-        keep_bad: list sweeps that are named and not there, too; loading one raises InputError.
+        count: maximum number of sweeps; the search stops there.
+        every: use every n-th sweep of each log; has no effect on named sweeps.
+        keep_bad: also list named sweeps that do not exist; loading one raises InputError.
 
     A scene's origin is the upper LiDAR, its axes are the vehicle's, its time 0 the sweep's start. Points keep the order
-    of the file. Every beam starts where its LiDAR (two of 32 beams, one above the other) was as it fired. Points are
-    motion compensated, to the sweep's start. Coordinates are stored as float16: a point is up to half a step off along
-    each axis, 1 mm within 2 m, 8 mm within 32 m, 3 cm beyond 64 m of the rear axle along that axis. Beams through such
-    points are off by as much, across and along: their directions by 0.5 mrad, on average below it.
+    of the file. Every beam starts at its LiDAR's position at the firing time (two LiDARs of 32 beams, one above the
+    other). Points are motion compensated to the sweep's start. The files store coordinates as float16: a point is up to
+    half a step off along each axis, 1 mm within 2 m, 8 mm within 32 m, 3 cm beyond 64 m of the rear axle along that
+    axis. Beams through these points are off by as much, across and along; directions by 0.5 mrad, on average less.
 
-    Where a log has a map/, places have its drivable areas and heights (of float16: 3 to 6 cm); see `GroundMap`.
+    Placements have the drivable areas and heights (float16: 3 to 6 cm) of a log's map/, if any; see `GroundMap`.
 
     Raises InputError: no logs.
     """
@@ -94,7 +94,7 @@ class Argoverse2Scenes(RecordedScenes):
         try:
             log, timestamp = self._split(name)
         except InputError:
-            return (), ()  # no log has such a sweep: loading it says so
+            return (), ()  # no log has the sweep; loading raises the error
         shared = (log / "annotations.feather", log / "city_SE3_egovehicle.feather")
         mounts = log / "calibration" / "egovehicle_SE3_sensor.feather"
         return (), (sweep_file(log, timestamp), *shared, mounts, *map_files(log))
@@ -123,7 +123,7 @@ class Argoverse2Scenes(RecordedScenes):
 
 
 def _origins(log: Location, timestamp: int, sweep: Sweep, up: np.ndarray, down: np.ndarray) -> np.ndarray:
-    """(N, 3) float64 where each point's LiDAR was as it fired, vehicle frame at the sweep's start."""
+    """Compute positions (N, 3) float64 of each point's LiDAR as it fired, vehicle frame at the sweep's start."""
     times, which = np.unique(sweep.offset_ns, return_inverse=True)
     poses = inverse(city_SE3_ego(log, timestamp)[0]) @ city_SE3_ego(log, timestamp, times)
     mounts = np.where(sweep.is_up[:, None], up, down)

@@ -1,1 +1,1 @@
-"""KITTI's frames: their files, the scenes read from them, and frames written like them."""
+"""KITTI frames: file readers, scenes, and a writer."""

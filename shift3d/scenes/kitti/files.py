@@ -1,4 +1,4 @@
-"""Reading the three files of a KITTI object frame: velodyne, calib, label_2."""
+"""Readers of the three files of a KITTI object frame: velodyne, calib, label_2."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from shift3d.wording import counted
 
 Float = NDArray[np.float64]
 
-# Waymo's "vehicle" spans what KITTI calls Car, Van and Truck; the KITTI name is kept beside the class.
+# Waymo's "vehicle" comprises KITTI's Car, Van and Truck; labels keep the KITTI name beside the class.
 CLASSES = {
     "Car": "vehicle",
     "Van": "vehicle",
@@ -30,12 +30,12 @@ CLASSES = {
 _CALIB_SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 _LABEL_COLUMNS = 15
 GROUND = "ground"
-"""Folder of an exported frame's ground height, a number a file: KITTI's own frames have none, theirs is estimated."""
+"""Folder of an exported frame's ground height, one number a file. KITTI's own frames have none; it is estimated."""
 FARTHEST_M = 1e4
-"""No return, label or camera is farther from the LiDAR, and no object larger: such numbers come from damaged files."""
-IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few, and the images are not needed otherwise
+"""Largest distance of a return, label or camera from the LiDAR, and largest size; larger values mean a damaged file."""
+IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few pixels, and images are not read
 SMALLEST_M = 0.01  # labels are written to the centimetre
-_ROTATION_TOLERANCE = 0.02  # of the rows' products: files are written to 7 digits
+_ROTATION_TOLERANCE = 0.02  # of the rows' products: files have 7 digits
 _COPY = "Copy the calibration file again."
 _RESCALE = "Set scenes.reflectance_max to what the files call full reflectance (255, 65535, ...; null: 1)"
 _LARGEST_PIXEL = 1e6  # of a projection's entries: focal lengths are some hundred pixels
@@ -43,34 +43,34 @@ _LARGEST_PIXEL = 1e6  # of a projection's entries: focal lengths are some hundre
 
 @dataclass(frozen=True)
 class Calibration:
-    """Camera 2 of one frame, and what it sees: only there does KITTI have labels.
+    """Calibration of camera 2 of one frame. KITTI has labels only in its view.
 
     Attributes:
-        image_P_camera: (3, 4) the rectified camera frame (x right, y down, z forward) to pixels.
-        camera_T_lidar: (4, 4) rigid transform of the LiDAR frame to the rectified camera frame.
+        image_P_camera: (3, 4) projection from the rectified camera frame (x right, y down, z forward) to pixels.
+        camera_T_lidar: (4, 4) rigid transform from the LiDAR frame to the rectified camera frame.
     """
 
     image_P_camera: Float  # noqa: N815
     camera_T_lidar: Float  # noqa: N815
 
     def lidar_from_camera(self, points: NDArray[np.floating]) -> Float:
-        """Points (N, 3) of the rectified camera frame in the LiDAR frame, metres."""
+        """Transform points (N, 3) from the rectified camera frame to the LiDAR frame, metres."""
         inverse = np.linalg.inv(self.camera_T_lidar)
         lidar: Float = np.asarray(points, dtype=np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
         return lidar
 
     def in_view(self, boxes: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Which boxes (M, 7) have their centre between the image's left and right edge: (M,) bool.
+        """Return the mask (M,) of boxes (M, 7) whose centre lies between the image's left and right edges.
 
-        For average precision: a detection outside may be right and yet has no label to match.
+        Used for average precision: a detection outside may be right but has no label to match.
         """
         pixels, depth = self.pixels(np.asarray(boxes)[:, :3])
         return (pixels[:, 0] >= 0) & (pixels[:, 0] < IMAGE_SIZE[0]) & (depth > 0.0)
 
     def height_px(self, boxes: NDArray[np.floating]) -> Float:
-        """Height in the image of boxes (M, 7), cut at its upper and lower edge: (M,) float64, pixels.
+        """Compute the image height of boxes (M, 7), clipped to the image: (M,) float64, pixels.
 
-        A box that reaches behind the camera takes the whole height.
+        A box that reaches behind the camera gets the whole height.
         """
         pixels, depth = self.pixels(corners_3d(boxes).reshape(-1, 3))
         rows = np.clip(pixels[:, 1], 0.0, IMAGE_SIZE[1]).reshape(-1, 8)
@@ -78,7 +78,7 @@ class Calibration:
         return np.where((depth.reshape(-1, 8) > 0.1).all(axis=1), height, float(IMAGE_SIZE[1]))
 
     def pixels(self, points: NDArray[np.floating]) -> tuple[Float, Float]:
-        """Pixel (N, 2) as (column, row) and depth (N,) in metres of points (N, 3) in the LiDAR frame."""
+        """Project points (N, 3) of the LiDAR frame: pixels (N, 2) as (column, row), and depth (N,) in metres."""
         camera = np.asarray(points, np.float64) @ self.camera_T_lidar[:3, :3].T + self.camera_T_lidar[:3, 3]
         image = camera @ self.image_P_camera[:, :3].T + self.image_P_camera[:, 3]
         depth = image[:, 2]
@@ -87,10 +87,10 @@ class Calibration:
 
 @dataclass(frozen=True)
 class KittiLabel:
-    """One row of a label file: KITTI name, and box (7,) in the LiDAR frame as everywhere in shift3d.
+    """One row of a label file: KITTI name and box (7,) in the LiDAR frame, in shift3d's convention.
 
     truncation: share of the object outside the image, 0 to 1. occlusion: 0 none, 1 partly, 2 largely, 3 unknown.
-    image_height_px: of its box in the image.
+    image_height_px: height of the object's box in the image.
     """
 
     name: str
@@ -101,10 +101,9 @@ class KittiLabel:
 
     @property
     def difficulty(self) -> int:
-        """0 easy, 1 moderate, 2 hard, 3 harder than that: the easiest of KITTI's classes that admits the object.
+        """Easiest of KITTI's classes that admits the object: 0 easy, 1 moderate, 2 hard, 3 none of them.
 
-        Source: KITTI's development kit: at least 40, 25, 25 pixels; occlusion up to 0, 1, 2; truncation up to
-        0.15, 0.3, 0.5.
+        Source: KITTI's development kit: 40, 25, 25 pixels; occlusion up to 0, 1, 2; truncation up to 0.15, 0.3, 0.5.
         """
         limits = ((40.0, 0, 0.15), (25.0, 1, 0.30), (25.0, 2, 0.50))
         for grade, (height_px, occlusion, truncation) in enumerate(limits):
@@ -116,13 +115,13 @@ class KittiLabel:
 def read_points(
     path: LocationLike, reflectance_max: float | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Points (N, 3) in the LiDAR frame and reflectance (N,) of a velodyne file, in file order.
+    """Read points (N, 3) in the LiDAR frame and reflectance (N,) of a velodyne file, in file order.
 
     Args:
-        reflectance_max: what the file calls full reflectance; None: 1. Reflectance is divided by it and cut to 0..1.
+        reflectance_max: file value of full reflectance; None: 1. Reflectance is divided by it and clipped to 0..1.
 
-    Raises InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN or infinity,
-    ranges that are no metres (`require_metres`), or reflectances on another scale.
+    Raises InputError: the file is missing, empty, or not a whole number of 16-byte records; it contains NaN or
+    infinity, ranges that are not metres (`require_metres`), or reflectances on another scale.
     """
     values = read_records(as_location(path), "frame", 4)
     refuse_not_finite(values, str(path))
@@ -133,10 +132,10 @@ def read_points(
 
 
 def read_calibration(path: LocationLike) -> Calibration:
-    """The matrices of camera 2.
+    """Read the matrices of camera 2.
 
-    Raises InputError: where the file is missing, a needed line is missing, there twice or malformed, or the matrices
-    are no rotation and no camera's projection.
+    Raises InputError: the file is missing; a line is missing, malformed or repeated; or the matrices are no rotation
+    and no projection.
     """
     found: dict[str, Float] = {}
     for number, line in enumerate(read_lines(as_location(path), "calibration file"), start=1):
@@ -158,12 +157,12 @@ def read_calibration(path: LocationLike) -> Calibration:
 
 
 def _checked(found: dict[str, Float], path: LocationLike) -> Calibration:
-    """Matrices that are what they are called; every comparison is written so that NaN fails it."""
+    """Check that the matrices are a rotation and a projection. NaN fails every comparison in this form."""
     camera_T_lidar = np.eye(4)
     with np.errstate(over="ignore", invalid="ignore"):
         camera_T_lidar[:3] = found["R0_rect"] @ found["Tr_velo_to_cam"]
         rotation = camera_T_lidar[:3, :3]
-        # The determinant alone would admit diag(2, 0.5, 1), and every box would be stretched by it.
+        # The determinant alone would admit diag(2, 0.5, 1), which stretches every box.
         askew = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not (askew <= _ROTATION_TOLERANCE and np.linalg.det(rotation) > 0.0):
         raise InputError("R0_rect · Tr_velo_to_cam is no rotation", str(path), _COPY)
@@ -177,9 +176,9 @@ def _checked(found: dict[str, Float], path: LocationLike) -> Calibration:
 
 
 def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel]:
-    """Labels in file order, DontCare rows left out.
+    """Read the labels in file order, without DontCare rows.
 
-    Raises InputError: where the file is missing or a row is malformed.
+    Raises InputError: the file is missing or a row is malformed.
     """
     labels = []
     for number, line in enumerate(read_lines(as_location(path), "label file"), start=1):
@@ -202,7 +201,7 @@ def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel
 
 
 def read_ground_z(path: LocationLike) -> float:
-    """Height of the ground in the LiDAR frame, metres. Raises InputError: where the file holds anything else."""
+    """Read the height of the ground in the LiDAR frame, metres. Raises InputError: the file contains anything else."""
     words = " ".join(read_lines(as_location(path), "ground file")).split()
     values = _numbers(words, str(path))
     if len(values) != 1 or abs(values[0]) > FARTHEST_M:
@@ -212,14 +211,14 @@ def read_ground_z(path: LocationLike) -> float:
 
 
 def lidar_box(size_hwl: list[float], bottom_camera: list[float], rotation_y: float, calibration: Calibration) -> Float:
-    """A KITTI camera-frame box as (x, y, z, dx, dy, dz, heading) in the LiDAR frame.
+    """Convert a KITTI camera-frame box to (x, y, z, dx, dy, dz, heading) in the LiDAR frame.
 
     Args:
         size_hwl: height, width, length in metres.
         bottom_camera: centre of the box's BOTTOM in the rectified camera frame (y points down).
-        rotation_y: about the camera's y axis; 0 means the nose points along camera x (to the right).
+        rotation_y: about the camera's y axis; 0: the nose points along camera x (to the right).
 
-    Returns: (7,) with the geometric centre; the small roll and pitch between camera and LiDAR is dropped.
+    Returns: (7,) with the geometric centre, without the small roll and pitch between camera and LiDAR.
     """
     height, width, length = size_hwl
     nose = np.array([np.cos(rotation_y), 0.0, -np.sin(rotation_y)])

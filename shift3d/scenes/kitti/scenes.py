@@ -26,8 +26,8 @@ from shift3d.scenes.sets import RecordedScenes, from_one_place
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike
 
-NOMINAL_GROUND_Z_M = -1.73  # over the labelled sample frames the estimate lies between -1.80 and -1.63
-_NOMINAL_WITHIN_M = 0.2  # there the estimate around the nominal height has the whole layer of the ground
+NOMINAL_GROUND_Z_M = -1.73  # the estimates of the labelled sample frames lie between -1.80 and -1.63
+_NOMINAL_WITHIN_M = 0.2  # within it the estimate around the nominal height sees the whole ground layer
 
 
 class KittiScenes(RecordedScenes):
@@ -35,17 +35,16 @@ class KittiScenes(RecordedScenes):
 
     Args:
         root: the folder that holds ``training/``, or ``training`` itself.
-        names: frame numbers to use ("000134"); None takes every frame that has a point file, sorted.
-        reflectance_max: what the files call full reflectance; None: 1, as KITTI's own.
-        keep_bad: list frames whose files are missing, too; loading one raises InputError.
+        names: frame numbers to use ("000134"); None: every frame that has a point file, sorted.
+        reflectance_max: file value of full reflectance; None: 1, as in KITTI's own files.
+        keep_bad: also list frames whose files are missing; loading one raises InputError.
 
     Scenes keep the point order of the files. Points at zero range stay in place and carry no beam
-    (:attr:`~shift3d.scenes.scene.Scene.has_beam`). The ground is looked for around KITTI's 1.73 m below the LiDAR, and
-    at any height where it lies more than 0.2 m from there: other vehicles carry their LiDAR elsewhere. Labels cover
-    camera 2's view only, 0.70 rad to either side of +x: objects are placed within 0.6 rad, so that most of the vehicle
-    stays inside.
+    (:attr:`~shift3d.scenes.scene.Scene.has_beam`). The ground is searched around KITTI's 1.73 m below the LiDAR, or at
+    any height if it lies more than 0.2 m from there, since other vehicles mount their LiDAR elsewhere. Labels cover
+    camera 2's view only, 0.70 rad to either side of +x: placements lie within 0.6 rad, most of the vehicle in view.
 
-    Raises InputError: where folders are missing; without keep_bad, where frames are, or a label file has no frame.
+    Raises InputError: missing folders; without keep_bad, missing frames, or a label file without a frame.
     """
 
     dataset = "kitti"
@@ -102,11 +101,11 @@ class KittiScenes(RecordedScenes):
         return (self.reflectance_max, self._labels_in is not None), files
 
     def camera_view(self, name: str) -> Calibration:
-        """What camera 2 sees of one frame."""
+        """Read the calibration of camera 2 of one frame."""
         return read_calibration(self.folder / "calib" / f"{name}.txt")
 
     def label_rows(self, name: str) -> list[KittiLabel]:
-        """The labels of one frame, in the order of the scene's, with what they say about the image.
+        """Read the labels of one frame with their image data, in the order of the scene's labels.
 
         Raises InputError: the label file is missing or malformed.
         """
@@ -126,7 +125,7 @@ class KittiScenes(RecordedScenes):
 
 
 def _ground_z(points: NDArray[np.float32]) -> float:
-    """Height of the ground, metres, by the rule of `KittiScenes`. Source: our choice."""
+    """Estimate the height of the ground, metres, by the rule of `KittiScenes`. Source: our choice."""
     found = search_ground_z(points)
     if found is None or abs(found - NOMINAL_GROUND_Z_M) <= _NOMINAL_WITHIN_M:
         return estimate_ground_z(points, NOMINAL_GROUND_Z_M)

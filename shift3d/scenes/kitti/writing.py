@@ -1,4 +1,4 @@
-"""A scene as a KITTI object frame, which this project and others' tools read."""
+"""Writer of a scene as a KITTI object frame, readable by this project and by other tools."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from shift3d.scenes.kitti.files import GROUND, IMAGE_SIZE, Calibration
 _P2 = np.array([[721.5377, 0.0, 609.5593, 0.0], [0.0, 721.5377, 172.854, 0.0], [0.0, 0.0, 1.0, 0.0]])
 _CAMERA_R_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 CALIBRATION = Calibration(_P2, np.block([[_CAMERA_R_LIDAR, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
-"""A camera in the LiDAR's place with KITTI's focal length: scenes have no camera of their own."""
+"""Camera at the LiDAR's position with KITTI's focal length, because scenes have no camera."""
 _NAMES = {"vehicle": "Car", "pedestrian": "Pedestrian", "cyclist": "Cyclist"}
 
 
 def velodyne_bytes(points: NDArray[np.float32], reflectance: NDArray[np.float32] | None) -> bytes:
-    """Points (N, 3) and reflectance (N,), 0 where there is none, as records of four little-endian float32."""
+    """Encode points (N, 3) and reflectance (N,), 0 if None, as records of four little-endian float32."""
     rows = np.zeros((len(points), 4), dtype="<f4")
     rows[:, :3] = points
     if reflectance is not None:
@@ -35,11 +35,11 @@ def frame_files(
     boxes: NDArray[np.float64],
     classes: Sequence[str],
 ) -> dict[str, bytes]:
-    """The files of one frame by their path under KITTI's root.
+    """Return the files of one frame by their path under KITTI's root.
 
     Args:
         name: of the frame, such as "000000". points: (N, 3) LiDAR frame. reflectance: (N,) 0 to 1.
-        boxes: (M, 7) LiDAR frame, all around; KITTI itself labels what its camera sees. classes: M of shift3d's.
+        boxes: (M, 7) LiDAR frame, all around; KITTI itself labels only the camera's view. classes: M of shift3d's.
     """
     rotation = " ".join(f"{value:.12e}" for value in np.eye(3).ravel())
     projection = " ".join(f"{value:.12e}" for value in _P2.ravel())
@@ -55,9 +55,9 @@ def frame_files(
 
 
 def label_line(kind: str, box: NDArray[np.float64]) -> str:
-    """A box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`.
+    """Format a box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`.
 
-    Occlusion is 3, unknown; the box in the image is cut at its edges, and empty for what the camera does not see.
+    Occlusion is 3, unknown. The image box is clipped to the image, and empty if the camera does not see the object.
     """
     x, y, z, length, width, height, heading = (float(value) for value in box)
     bottom = CALIBRATION.camera_T_lidar[:3, :3] @ np.array([x, y, z - height / 2.0])

@@ -1,4 +1,4 @@
-"""Key frames of nuScenes as scenes, of one sweep or several joined."""
+"""nuScenes key frames as scenes, from one sweep or several sweeps joined."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Float = NDArray[np.float64]
 
 LIDAR_HEIGHT_M = 1.84
 OWN_VEHICLE_M = 1.0
-"""Of earlier sweeps, points this near to their sensor, along x and along y, are the recording vehicle's own."""
+"""Points of earlier sweeps within this distance of their sensor, in x and in y, belong to the recording vehicle."""
 _SUFFIX = ".pcd.bin"
 _SIDEWAYS = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """vehicle_SE3_lidar without a table: the sensor's x points to the right and its y ahead."""
@@ -34,21 +34,20 @@ class NuScenesScenes(RecordedScenes):
 
     Args:
         root: holds v1.0-*/, samples/ and sweeps/; or *.pcd.bin files, which have no labels, poses or other sweeps.
-        names: samples (tokens) to use, or stems of files without tables; None: every one, in order of time.
-        count: the first so many.
-        version: the folder of tables, such as v1.0-mini; None: the only one that there is.
-        sweeps: how many sweeps a scene is made of: its key frame and those before it, fewer where a drive begins.
-        keep_bad: list names that no table has; loading one raises InputError.
+        names: samples (tokens) to use, or stems of files without tables; None: all, in order of time.
+        count: maximum number of scenes.
+        version: the folder of tables, such as v1.0-mini; None: the only folder.
+        sweeps: number of sweeps in a scene: the key frame and those before it, fewer at the start of a drive.
+        keep_bad: also list names that no table has; loading one raises InputError.
 
-    A scene's origin is the LiDAR at the key frame, its axes are the vehicle's. Points: the key frame's in the order of
-    the file, then those of each earlier sweep, brought to the key frame by the vehicle's poses; their beams start where
-    the sensor was. The firing time of a sweep is that of its key frame's less its age: 0 for the key frame, negative
-    for earlier ones; single points have none. So an inserted vehicle stands still across sweeps where the world does,
-    and one with `effects.object_speed_m_s` is met by each sweep where it was then. Points of a sweep are motion
-    compensated by the data set. Poses have roll and pitch, but no height.
+    A scene's origin is the LiDAR at the key frame, its axes are the vehicle's. Its points are the key frame's, in the
+    order of the file, then those of each earlier sweep, moved to the key frame by the vehicle's poses. Beams start at
+    the sensor's position in their sweep. All points of a sweep have the same firing time: 0 for the key frame, minus
+    the sweep's age for earlier sweeps. An inserted vehicle therefore stands still across sweeps as the world does, and
+    with `effects.object_speed_m_s` each sweep meets it at its position at that time. The data set has motion
+    compensated the points of a sweep. Poses have roll and pitch, but no height.
 
-    Raises InputError: neither tables nor files, several versions to choose from, or several sweeps of files that no
-        table puts in order.
+    Raises InputError: neither tables nor files, several versions to choose from, or several sweeps without tables.
     """
 
     dataset = "nuscenes"
@@ -89,7 +88,7 @@ class NuScenesScenes(RecordedScenes):
         for file in files:
             scene_SE3_lidar = inverse(global_SE3_scene) @ poses[file.pose] @ mounts[file.mount]
             if file is key:
-                scene_SE3_lidar[:3, 3] = 0.0  # what rounding leaves would be another place to start from
+                scene_SE3_lidar[:3, 3] = 0.0  # a rounding error would count as a second beam origin
             parts.append(_sweep(self.root, file, scene_SE3_lidar, key.time_us))
         points, origins, reflectance, time_s = (np.concatenate(part) for part in zip(*parts, strict=True))
         annotations = self._annotations[name]
@@ -131,7 +130,7 @@ class NuScenesScenes(RecordedScenes):
 
     @functools.cached_property
     def _poses(self) -> tuple[Poses, Poses]:
-        """Of the vehicle and of the sensor, by token, as far as the listed scenes need them."""
+        """Poses of the vehicle and of the sensor, by token, for the listed scenes."""
         release, files = self._release, []
         for name in self._needed:
             last = self._files(name)[-1]
@@ -148,7 +147,7 @@ class NuScenesScenes(RecordedScenes):
         return read_weather(self._release.folder, self._needed)
 
     def _files(self, name: str) -> list[LidarFile]:
-        """Of the key frame, then of the sweeps before it."""
+        """Return the files of the key frame, then of the sweeps before it."""
         release = self._release
         files = [release.lidar[release.key_frames[name]]]
         while len(files) < self.sweeps and files[-1].previous in release.lidar:
@@ -178,7 +177,7 @@ def _stem_file(root: Location, stem: str) -> Location:
 
 
 def _at(vehicle_SE3_lidar: Float) -> Float:
-    """vehicle_SE3_scene: the sensor's place with the vehicle's axes."""
+    """Return vehicle_SE3_scene: the sensor's position with the vehicle's axes."""
     placed = np.eye(4)
     placed[:3, 3] = vehicle_SE3_lidar[:3, 3]
     return placed
@@ -187,7 +186,7 @@ def _at(vehicle_SE3_lidar: Float) -> Float:
 def _sweep(
     root: Location, file: LidarFile, scene_SE3_lidar: Float, key_time_us: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Points, origins, reflectance and firing times of one sweep in the frame of a key frame's scene."""
+    """Read points, origins, reflectance and firing times of one sweep, in the frame of the key frame's scene."""
     place = root
     for part in file.filename.split("/"):
         place = place / part
@@ -201,7 +200,7 @@ def _sweep(
 
 
 def _lidar_rows(file: Location) -> NDArray[np.float32]:
-    """(N, 5) x, y, z, intensity, ring of a LiDAR file. Raises InputError: it is missing, damaged, or in other units."""
+    """Read x, y, z, intensity, ring (N, 5) of a LiDAR file. Raises InputError: missing, damaged, or in other units."""
     values = read_records(file, "LiDAR file", 5)
     require_metres(np.linalg.norm(values[:, :3].astype(np.float64), axis=1), str(file))
     if not ((values[:, 3] >= 0.0) & (values[:, 3] <= 255.0)).all():
@@ -223,7 +222,7 @@ def _scene(
 def _velocity(
     release: Release, poses: Poses, key: LidarFile, global_SE3_scene: Float
 ) -> tuple[float, float, float] | None:
-    """Of the sensor since the sweep before the key frame, m/s, scene frame; None at the beginning of a drive."""
+    """Compute the sensor's velocity since the previous sweep, m/s, scene frame; None at the start of a drive."""
     before = release.lidar.get(key.previous)
     if before is None or before.time_us >= key.time_us:
         return None

@@ -1,4 +1,4 @@
-"""The tables of a release: read row by row, what is needed is kept; poses, boxes and weather in them."""
+"""Tables of a release, read row by row without holding unneeded rows; poses, boxes and weather from them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TEXTS = ("sample_token", "filename", "prev", "ego_pose_token", "calibrated_sens
 
 
 def table_rows(file: Location) -> Iterator[Row]:
-    """Rows of a table, a JSON array of objects, without holding the file: the largest have a gigabyte.
+    """Read the rows of a table, a JSON array of objects, as a stream: the largest tables have a gigabyte.
 
     Raises InputError: the file is missing, cut short, or something else.
     """
@@ -45,7 +45,7 @@ def table_rows(file: Location) -> Iterator[Row]:
                     return
                 try:
                     row, at = decoder.raw_decode(text, at)
-                except ValueError:  # the rest of the row is not here yet
+                except ValueError:  # the rest of the row is not read yet
                     break
                 if not isinstance(row, dict):
                     raise InputError(f"a row is {str(row)[:40]!r}, not an object", str(file), _AGAIN)
@@ -55,14 +55,14 @@ def table_rows(file: Location) -> Iterator[Row]:
 
 
 def _next(text: str, at: int) -> int:
-    """Where the next row, or the end of the array, begins."""
+    """Find the start of the next row, or the end of the array."""
     while at < len(text) and text[at] in " \t\r\n,[":
         at += 1
     return at
 
 
 def indexed(file: Location, keep: Callable[[Row], bool] = lambda row: True) -> dict[str, Row]:
-    """Rows of a table by their token. Raises InputError: as `table_rows`; a row lacks it; no rows at all."""
+    """Index the rows of a table by token. Raises InputError: as `table_rows`; a row without token; no rows at all."""
     found, rows = {}, 0
     for rows, row in enumerate(table_rows(file), start=1):
         if "token" not in row:
@@ -76,7 +76,7 @@ def indexed(file: Location, keep: Callable[[Row], bool] = lambda row: True) -> d
 
 @dataclass(frozen=True)
 class LidarFile:
-    """One sweep of the LiDAR: its file below the root, when it was taken, and where the sensor was."""
+    """One sweep of the LiDAR: file below the root, time, and tokens of its sample, poses and previous sweep."""
 
     sample: str
     filename: str
@@ -88,10 +88,9 @@ class LidarFile:
 
 @dataclass
 class Release:
-    """The tables of one version, kept as far as LIDAR_TOP needs them.
+    """Tables of one version, restricted to LIDAR_TOP.
 
-    lidar: its files by token, key frames and those between. key_frames: token of a key frame's file by its sample, in
-    order of time within each drive.
+    lidar: files by token, with sweeps between key frames. key_frames: file token by sample, in order of time.
     """
 
     folder: Location
@@ -100,7 +99,7 @@ class Release:
 
     @staticmethod
     def read(folder: Location) -> Release:
-        """Read what scenes are listed by. Raises InputError: a table is missing, damaged, or without such rows."""
+        """Read the list of scenes. Raises InputError: a table is missing or damaged, or a row lacks a field."""
         file = folder / "sample_data.json"
         lidar, key_frames = {}, []
         for token, row in indexed(file, lambda row: f"/{_SENSOR}/" in str(row.get("filename"))).items():
@@ -114,27 +113,27 @@ class Release:
         return Release(folder, lidar, {sample: token for _, sample, token in sorted(key_frames)})
 
     def poses(self, table: str, tokens: set[str]) -> Poses:
-        """Poses by token. Raises InputError: as `indexed`."""
+        """Read poses by token. Raises InputError: as `indexed`."""
         file = self.folder / f"{table}.json"
         return Poses(file, indexed(file, lambda row: str(row.get("token")) in tokens))
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Rows of a table with translation and rotation, by token; a row that is no pose is refused when it is used."""
+    """Rows of a table with translation and rotation, by token; a bad row raises its error at the first use."""
 
     file: Location
     rows: Mapping[str, Row]
 
     def __getitem__(self, token: str) -> NDArray[np.float64]:
-        """(4, 4), metres. Raises InputError: there is no such row, or it is no pose."""
+        """Return the pose (4, 4), metres. Raises InputError: the row is missing, or is no pose."""
         if token not in self.rows:
             raise InputError(f"no row {token}", str(self.file), "Copy the release's tables again")
         return pose_of(self.rows[token], f"{self.file}, row {token}")
 
 
 def pose_of(row: Mapping[str, Any], where: str) -> NDArray[np.float64]:
-    """(4, 4) of a row's translation and rotation (w, x, y, z). Raises InputError: they are none."""
+    """Convert a row's translation and rotation (w, x, y, z) to a pose (4, 4). Raises InputError: they are no pose."""
     try:
         rotation, translation = (np.array(row[name], dtype=np.float64) for name in ("rotation", "translation"))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -156,16 +155,16 @@ _CYCLES = ("vehicle.bicycle", "vehicle.motorcycle")
 
 
 def class_of(category: str) -> str:
-    """The class here of a category's name, such as ``vehicle.car``: two-wheelers count as cyclists."""
+    """Map a category such as ``vehicle.car`` to a shift3d class; two-wheelers count as cyclists."""
     if category in _CYCLES:
         return "cyclist"
     return {"vehicle": "vehicle", "human": "pedestrian"}.get(category.partition(".")[0], "other")
 
 
 def read_annotations(folder: Location, samples: set[str]) -> dict[str, list[dict[str, Any]]]:
-    """Annotations of samples by sample, each with its ``category``; empty where the release has none (test split).
+    """Read the annotations by sample, each with its ``category``; empty if the release has none (test split).
 
-    The category is None where its row or the instance's is missing: `boxes_of` refuses such an annotation.
+    The category is None if its row or the instance's row is missing: `boxes_of` refuses that annotation.
 
     Raises InputError: a table is missing or damaged.
     """
@@ -187,7 +186,7 @@ def read_annotations(folder: Location, samples: set[str]) -> dict[str, list[dict
 def boxes_of(
     rows: list[dict[str, Any]], scene_SE3_global: NDArray[np.float64], points: NDArray[np.float32], where: str
 ) -> Labels:
-    """Boxes in the scene's frame; counts are those of the points (N, 3) given. Raises InputError: a row is no box."""
+    """Convert annotations to boxes, scene frame, and count points (N, 3) inside. Raises InputError: a row is no box."""
     boxes = np.zeros((len(rows), 7))
     for index, row in enumerate(rows):
         here = f"{where}, row {row.get('token')}"
@@ -207,7 +206,7 @@ _RAIN = re.compile(r"\brain(y|ing|s)?\b", re.IGNORECASE)  # neither train nor te
 
 
 def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
-    """ "rain" or "dry" of samples, by the words with which their drives are described.
+    """Read the weather of samples, "rain" or "dry", from the descriptions of their drives.
 
     Raises InputError: a table is missing or damaged.
     """

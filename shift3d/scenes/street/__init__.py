@@ -1,1 +1,1 @@
-"""The procedural street: a spinning multi-beam LiDAR cast through a made-up town. Deterministic by seed."""
+"""Procedural street: a spinning multi-beam LiDAR scans a made-up town. Deterministic by seed."""

@@ -1,4 +1,4 @@
-"""A street scene as the sensor sees it: layout, first hits, returns, labels, in one Scene record."""
+"""Assembly of a street scene: layout, first hits, returns and labels in one Scene record."""
 
 from __future__ import annotations
 
@@ -26,24 +26,22 @@ from shift3d.seeding import generator
 
 
 def street_scene(split: str, seed: int, index: int, sensor_name: str, options: StreetOptions = PLAIN) -> Scene:
-    """One procedural scene: the same bytes for the same arguments.
+    """Generate one procedural scene, with the same bytes for the same arguments.
 
     Args:
         split: "train", "val" or "test": disjoint layouts and disjoint vehicles.
-        seed, index: which scene.
-        sensor_name: "hdl64" or "waymo_top": whose street it is, and whose beams see it where options.beams is None.
-            Others' beams leave the same point, and see the same things in the same places.
-        options: what the scene states and shows beyond that, the street being the same; and whose vehicles it has.
+        seed, index: identify the scene.
+        sensor_name: "hdl64" or "waymo_top": sensor of the street's layout; it also scans the street if options.beams is
+            None. Other beams start at the same point and meet the same objects in the same places.
+        options: further properties of the scene on the same street, and its traffic.
 
-    Returns: A scene with reflectance, firing times and, of one sensor, range-image indices. Rows: the main sensor's
-    first returns, row by row of its range image, the same with and without other returns and sensors; then second
-    returns in that order, or each side sensor's returns. Labelled are vehicles, pedestrians and cyclists with at least
-    one point in their box. Of a sensor that moves, boxes are those of time 0, and what counts is where points were at
-    time 0: points given in the frame of the moving sensor lie beside them.
+    Returns: A scene with reflectance, firing times and, with a single sensor, range-image indices. Rows: the main
+    sensor's first returns, row by row of its range image, independent of other returns and sensors; then second returns
+    in that order, or each side sensor's returns. Labels are vehicles, pedestrians and cyclists with at least one point
+    in their box. If the sensor moves, boxes and counts are those of time 0: points in the moving sensor's frame lie
+    beside them.
 
-    Raises InputError: for an unknown split or sensor, or held-out traffic on streets to train on.
-
-    Source: our choice.
+    Raises InputError: an unknown split or sensor, or held-out traffic on training streets. Source: our choice.
     """
     sensor = _sensor(split, sensor_name)
     parts = ("street-scene", split, seed, index, sensor_name)
@@ -71,7 +69,7 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
 def street_vehicles(
     split: str, seed: int, index: int, sensor_name: str, options: StreetOptions = PLAIN
 ) -> tuple[PlacedVehicle, ...]:
-    """The vehicles of `street_scene` with their meshes, those that no beam meets included: the truth behind labels."""
+    """Return all vehicles of `street_scene` with their meshes, hit or not: the ground truth behind labels."""
     parts = ("street-scene", split, seed, index, sensor_name)
     return _street(parts, _sensor(split, sensor_name), options)[1].vehicles
 
@@ -83,7 +81,7 @@ def _street(parts: tuple[str | int, ...], sensor: Sensor, options: StreetOptions
 
 
 def seeing(sensor: Sensor, options: StreetOptions) -> Sensor:
-    """The sensor that sees a street of a sensor, where the latter stands."""
+    """Return the sensor that scans a sensor's street, at the same height."""
     return sensor if options.beams is None else replace(BEAMS[options.beams], mount_height_m=sensor.mount_height_m)
 
 
@@ -98,9 +96,9 @@ def _sensor(split: str, sensor_name: str) -> Sensor:
 def _sense(
     world: World, layout: Layout, sensor: Sensor, options: StreetOptions, parts: tuple[str | int, ...]
 ) -> tuple[Echoes, list[tuple[Sweep, NDArray[np.bool_]]], NDArray[np.uint8]]:
-    """Every return, every sensor's sweep with the beams that it kept, and (N,) which returns are second ones.
+    """Return all returns, each sensor's sweep with the mask of its kept beams, and the mask (N,) of second returns.
 
-    Options draw from generators of their own: the main sensor's first returns do not depend on them.
+    Options draw from their own generators: the main sensor's first returns do not depend on options.
     """
     compensated = options.motion_compensated
     if options.beams:
@@ -108,7 +106,7 @@ def _sense(
     rng = generator(*parts, "sensing")
     main = Sweep.empty(sensor, Mount(speed_m_s=options.ego_speed_m_s))
     world.cast(main, rng)
-    # Vehicles are painted alike whatever beams see them; what casting draws depends on the beams.
+    # The number of draws in casting depends on the beams; the vehicles' paint must not.
     paint = _sample_paint(layout, rng if options.beams is None else generator(*parts[:-2], "paint"))
     range_m, reflectance, kept = finish(main, paint, rng)
     echoes = [Echoes.of_kept(main, kept, range_m, reflectance, compensated)]
@@ -130,7 +128,7 @@ def _sense(
 
 
 def conditions_of(options: StreetOptions) -> Conditions:
-    """Weather is stated here and not in the points; dry streets that stand still state nothing."""
+    """Return the conditions: weather that the points do not contain; default values for dry, static streets."""
     velocity = (float(options.ego_speed_m_s), 0.0, 0.0) if options.ego_speed_m_s else None
     dry = Conditions()
     return Conditions(
@@ -145,7 +143,7 @@ def conditions_of(options: StreetOptions) -> Conditions:
 
 
 def _at_time_0(echoes: Echoes, options: StreetOptions) -> NDArray[np.float32]:
-    """(N, 3) points where they were in the frame of the sensor at time 0."""
+    """Return the points (N, 3) in the frame of the sensor at time 0."""
     if not options.ego_speed_m_s or options.motion_compensated:
         return echoes.points
     driven = options.ego_speed_m_s * echoes.time_s.astype(np.float64)[:, None] * np.array([1.0, 0.0, 0.0])
@@ -154,7 +152,7 @@ def _at_time_0(echoes: Echoes, options: StreetOptions) -> NDArray[np.float32]:
 
 
 def _sample_paint(layout: Layout, rng: np.random.Generator) -> dict[int, Paint]:
-    """Albedo of each vehicle's body, and how much of what meets its windows comes back."""
+    """Draw the albedo of each vehicle's body and the loss of its windows."""
     paint = {}
     for number, item in enumerate(layout.items):
         if item.kind == "vehicle":
@@ -181,10 +179,10 @@ def _labels(layout: Layout, world: World, points: NDArray[np.float32]) -> Labels
 
 
 def street_facts(scene_id: str, sensor_name: str, options: StreetOptions) -> SceneFacts:
-    """The facts of a street scene by its sensor and options; effects decide on them as on those of the made scene.
+    """Return the facts of a street scene from its sensor and options; effects decide as for the generated scene.
 
-    A made scene may differ in two numbers that decide nothing: ``no_return_beams`` are here those that the sensor drops
-    at random, ``scan_s`` is that of the whole turn in float32. On a street the ground is always in view.
+    The generated scene may differ in two numbers that affect no decision: here ``no_return_beams`` counts the beams
+    that the sensor drops at random, and ``scan_s`` is the whole turn in float32. The ground is always in view.
     """
     sensor = seeing(SENSORS[sensor_name], options)
     heads = companions(sensor, options.ego_speed_m_s)

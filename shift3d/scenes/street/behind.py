@@ -1,4 +1,4 @@
-"""Second returns: what lies behind a surface that lets a part of the beam pass."""
+"""Second returns: hits behind a surface that lets part of the beam pass."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shift3d.scenes.street.returns import Cells, Paint, finish
 from shift3d.scenes.street.shapes import Material
 
 SEPARATION_M = 1.0
-"""Echoes nearer together than this are one to the sensor (our choice: the length in space of a pulse of 7 ns)."""
+"""Echoes closer together than this merge in the sensor (our choice: the length in space of a pulse of 7 ns)."""
 _SIDES = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # of a beam's cone: left, right, up, down
 
 
@@ -25,22 +25,21 @@ def second_returns(
     paint: dict[int, Paint],
     rng: np.random.Generator,
 ) -> tuple[Cells, NDArray[np.float32], NDArray[np.float32]]:
-    """Second returns of the beams that have a first one.
+    """Compute the second returns of the beams that have a first return.
 
-    A part of the light goes on where the first hit is
-    foliage: the leaves met first cover a random share of the beam's width, the rest goes on among the leaves
-        (hedges are solid: what is dense enough to have a surface lets nothing pass a metre deep);
-    glass: windows let through the share that they do not send back, on the way there and on the way back;
-    a silhouette: a side of the beam's cone misses the thing that its axis meets. (Only something else behind counts:
-        ground met at a grazing angle stretches an echo, it does not split it.)
-    The second echo takes part in the law of power with that share, and lies at least SEPARATION_M behind the first.
+    Part of the light continues if the first hit is
+        foliage: the first leaves cover a random share of the beam's width, the rest continues among the leaves (hedges
+            are solid: foliage that dense lets nothing pass a metre deep);
+        glass: windows let through the share that they do not reflect, on the way there and on the way back;
+        a silhouette: one side of the beam's cone misses the object that its axis hits. (Only another object behind it
+            counts: ground at a grazing angle stretches an echo but does not split it.)
+    The second echo enters the power law with that share, and lies at least SEPARATION_M behind the first.
 
     Args:
-        sweep: first hits; range_m, kept: (rows, columns) as finished.
+        sweep: first hits; range_m, kept: (rows, columns) from `finish`.
 
-    Returns: The beams' cells (row and column (K,), row by row), ranges (K,) and reflectances (K,), float32.
-
-    Source: our choice, from the physics.
+    Returns: The beams' cells (row and column (K,), row by row), ranges (K,) and reflectances (K,), float32. Source: our
+    choice, from the physics.
     """
     through, through_hits, through_share = _through(world, sweep, kept, paint, rng)
     edge, edge_hits, edge_share = _past_edges(world, sweep, kept, rng)
@@ -58,7 +57,7 @@ def second_returns(
 def _through(
     world: World, sweep: Sweep, kept: NDArray[np.bool_], paint: dict[int, Paint], rng: np.random.Generator
 ) -> tuple[NDArray[np.intp], Hits, Float]:
-    """Flat cells of beams that foliage or glass lets through, what they meet next, and the share that passes."""
+    """Return flat cells of beams that pass foliage or glass, their next hits, and the share that passes."""
     glass = sweep.material == Material.GLASS
     items = range(max(int(sweep.item.max()), 0) + 1)
     passing = np.array([paint[number].glass_loss ** 2 if number in paint else 0.0 for number in items])
@@ -76,7 +75,7 @@ def _through(
 def _past_edges(
     world: World, sweep: Sweep, kept: NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[NDArray[np.intp], Hits, Float]:
-    """Flat cells of beams that a silhouette cuts, the nearest thing behind it, and the share of the cone beside it."""
+    """Return flat cells of beams at a silhouette, the nearest hits behind it, and the share of the cone beside it."""
     solid = (sweep.material != Material.GLASS) & ~_in_leaves(world, sweep)
     cell = np.flatnonzero(kept & solid & _beside_a_step(sweep))
     row, column = np.unravel_index(cell, kept.shape)
@@ -93,7 +92,7 @@ def _past_edges(
     nearest, each = ranges.argmin(axis=0), np.arange(len(cell))
     met = np.isfinite(ranges).any(axis=0)
     chosen = [np.stack(parts)[nearest, each][met] for parts in zip(*map(_parts, hits))]
-    # Of the axis and four sides, those that pass the edge and meet something.
+    # Share of the axis and four sides that pass the edge and hit something.
     share = np.isfinite(ranges).sum(axis=0) / (len(_SIDES) + 1)
     return cell[met], Hits(sweep.sensor, *chosen), share[met]
 
@@ -103,16 +102,16 @@ def _parts(hits: Hits) -> tuple[NDArray[Any], ...]:
 
 
 def _beside_a_step(sweep: Sweep) -> NDArray[np.bool_]:
-    """Hits with another thing well behind in a neighbouring cell; no silhouette can cut the others.
+    """Mark hits with another object well behind in a neighbouring cell; no silhouette can cut the other hits.
 
-    A beam's cone is narrower than the steps between beams. (Of gaps narrower than those, some are overlooked.)
+    A beam's cone is narrower than the steps between beams. (Some gaps narrower than the steps are missed.)
     """
     behind: NDArray[np.bool_] = np.zeros(sweep.range_m.shape, dtype=np.bool_)
     nearer = sweep.range_m + SEPARATION_M
     for axis in (0, 1):
         for step in (1, -1):
             deeper = (np.roll(sweep.range_m, step, axis) > nearer) & (np.roll(sweep.item, step, axis) != sweep.item)
-            if axis == 0:  # top and bottom rows are no neighbours; first and last columns are
+            if axis == 0:  # first and last columns are neighbours; top and bottom rows are not
                 deeper[0 if step == 1 else -1] = False
             behind |= deeper
     behind &= np.isfinite(sweep.range_m)
@@ -120,20 +119,20 @@ def _beside_a_step(sweep: Sweep) -> NDArray[np.bool_]:
 
 
 def _in_leaves(world: World, sweep: Sweep) -> NDArray[np.bool_]:
-    """Hits among loose leaves."""
+    """Mark hits among loose leaves."""
     numbers = [number for number, _ in world.foliage]
     leaves: NDArray[np.bool_] = (sweep.material == Material.FOLIAGE) & np.isin(sweep.item, numbers)
     return leaves
 
 
 def _aside(axis: Float, left: float, up: float) -> Float:
-    """(N, 3) unit vectors at right angles to the beams, to the left of them or upwards."""
+    """Compute unit vectors (N, 3) at right angles to the beams, to their left or upwards."""
     flat = np.hypot(axis[:, 0], axis[:, 1])
     leftwards = np.stack((-axis[:, 1], axis[:, 0], np.zeros(len(axis))), axis=1) / flat[:, None]
     return left * leftwards + up * np.cross(axis, leftwards)
 
 
 def _starts(sweep: Sweep, column: NDArray[np.intp]) -> Float:
-    """(K, 3) where the beams of some columns start."""
+    """Return the origins (K, 3) of the beams of some columns."""
     only_one = len(sweep.origins_m) == 1
     return sweep.origins_m[np.zeros_like(column) if only_one else column]

@@ -1,4 +1,4 @@
-"""What a street scene may state or show beyond one return a beam of one sensor that stands still in dry air."""
+"""Options of street scenes beyond the default: one return a beam of one static sensor in dry air."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from shift3d.errors import InputError
 
 TRAFFIC = ("family", "wide", "held_out")
 WEATHER_STRENGTHS = {"rain": ("rain_mm_h", 10.0), "fog": ("visibility_m", 100.0), "snow": ("snow_mm_h", 1.0)}
-"""Of each weather: the field that says how strong it is, and what null stands for (our choice): heavy rain, thick
-fog, moderate snow."""
+"""Strength field of each weather and its default (our choice): heavy rain, thick fog, moderate snow."""
 BEAM_NAMES = ("hdl64", "waymo_top", "hdl32", "av2_pair", "pandar64")
 LIMITS = {"rain_mm_h": 500.0, "visibility_m": 1e5, "snow_mm_h": 50.0, "ego_speed_m_s": 50.0}
-"""Largest values (our choice): beyond them lie typing errors."""
+"""Largest values (our choice): larger values are typing errors."""
 MOST_SENSORS = 5  # one on the roof, one at each corner of the car
 _WHERE = "street scenes"
 
@@ -23,23 +22,21 @@ class StreetOptions:
     """Options of street scenes; all off by default.
 
     Attributes:
-        weather: "dry", "rain", "fog" or "snow". Only stated in the scene's conditions: effects put it into the points.
-        rain_mm_h, visibility_m, snow_mm_h: how strong; None: as in :data:`WEATHER_STRENGTHS`, filled in here for
-            the weather that there is.
-        sensor_model: the scene states its sensor's noise, divergence and law of power.
-        range_image: the scene knows its beams without a return.
-        returns: 1, or 2 returns of a beam that a surface lets through in part.
-        sensors: 1, or up to 5 with short-range ones at the corners of the car: front left, front right, rear left,
-            rear right. Points then carry no pixels.
+        weather: "dry", "rain", "fog" or "snow". Only the scene's conditions state it; effects apply it to the points.
+        rain_mm_h, visibility_m, snow_mm_h: strength of the weather; None: filled in from :data:`WEATHER_STRENGTHS`.
+        sensor_model: the scene states its sensor's noise, divergence and power law.
+        range_image: the scene contains its no-return beams.
+        returns: 1, or 2 returns of a beam that a surface lets pass in part.
+        sensors: 1, or up to 5: short-range ones at the corners, front left, front right, rear left, rear right. Points
+            then have no pixels.
         ego_speed_m_s: along +x during the turn.
-        motion_compensated: points as they were at time 0, with the origins that follow the sensor; otherwise in
-            the frame of the sensor as it fires.
+        motion_compensated: points at time 0, origins follow the sensor; otherwise in the sensor frame at firing time.
         traffic: "family": vehicles of the embedded family; "wide": of the wide family's seen kinds, no two alike;
-            "held_out": every second one of a kind that training never sees, see `shift3d.vehicles.family.split`.
-        beams: one of :data:`BEAM_NAMES`: the street is seen by that sensor, in the place of the street's own, which
-            says where things stand; None: by its own.
+            "held_out": every second vehicle of a kind that training never sees, see `vehicles.family.split`.
+        beams: one of :data:`BEAM_NAMES`: that sensor scans the street from the position of the street's own sensor,
+            which determines the layout; None: its own sensor does.
 
-    Raises InputError: for values out of range or settings that contradict each other, naming the field and the remedy.
+    Raises InputError: values out of range or settings that contradict each other, naming the field and the remedy.
     """
 
     weather: str = "dry"
@@ -82,7 +79,7 @@ class StreetOptions:
             raise InputError(what, _WHERE, "Give ego_speed_m_s, or set motion_compensated=false")
 
     def _fill_in(self, weather: str, name: str, usual: float) -> None:
-        """Check the strength of one weather; fill it in where that weather is wanted and nothing is said."""
+        """Check the strength of one weather, or fill it in if that weather is on and its strength is None."""
         value: float | None = getattr(self, name)
         if weather != self.weather:
             if value is not None:
@@ -92,11 +89,11 @@ class StreetOptions:
         value = usual if value is None else float(value)
         if not 0.0 < value <= LIMITS[name]:
             raise InputError(f"{name} is {value}", _WHERE, f"Give more than 0, at most {LIMITS[name]:g}, or null")
-        object.__setattr__(self, name, value)  # equal scenes have equal options, whoever filled them in
+        object.__setattr__(self, name, value)  # equal scenes have equal options, with explicit or default strength
 
     @property
     def tag(self) -> str:
-        """Of the options that are on, for names: "" or such as "-fog50-returns2-ego15comp"."""
+        """Tag of the options that are on, for names: "" or such as "-fog50-returns2-ego15comp"."""
         words = []
         if self.weather != "dry":
             words.append(self.weather + _digits(getattr(self, WEATHER_STRENGTHS[self.weather][0])))
@@ -111,14 +108,14 @@ class StreetOptions:
 
 
 def check_traffic(traffic: str, split: str) -> None:
-    """Raises InputError for held-out kinds on streets to train on."""
+    """Refuse held-out kinds on training streets. Raises InputError."""
     if traffic == "held_out" and split == "train":
         what = "traffic=held_out with split=train: training must not see what attacks and evaluation hold out"
         raise InputError(what, _WHERE, "Set traffic=wide, or split=val or test")
 
 
 def _digits(value: float) -> str:
-    """The shortest decimal number that reads back as the same float, without an exponent (its sign is a dash)."""
+    """Format the shortest decimal that reads back as the same float; no exponent, whose sign would be a dash."""
     text = format(Decimal(repr(float(value))), "f")
     return text.rstrip("0").rstrip(".") if "." in text else text
 

@@ -1,4 +1,4 @@
-"""First hits of a spinning LiDAR: triangle meshes with embree, foliage as a medium that beams enter."""
+"""First hits of a spinning LiDAR: triangle meshes by embree, foliage as a medium that beams enter."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from shift3d.scenes.street.shapes import Material
 Float32 = NDArray[np.float32]
 Float = NDArray[np.float64]
 FirstHits = tuple[Float32, NDArray[np.uint8], Float32]
-"""Of N rays: range_m (N,), infinite where there is no hit, material and cosine (N,)."""
+"""First hits of N rays: range_m (N,), infinite without a hit, material and cosine (N,)."""
 Hit = Callable[[Float, NDArray[np.floating]], FirstHits]
-"""First hits of rays on one thing: starts (3,) or (N, 3), directions (N, 3) of unit length, scene frame."""
+"""Function that computes first hits on one object: starts (3,) or (N, 3), unit directions (N, 3), scene frame."""
 _LEAVES_COSINE = 0.7  # leaves face every way
 
 
 class Intersector:
-    """An embree tree over one mesh, in the mesh's own frame. vertices: (V, 3) float32. faces: (F, 3) int32."""
+    """Embree tree over one mesh, in the mesh's frame. vertices: (V, 3) float32. faces: (F, 3) int32."""
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self.vertices, self.faces = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
@@ -32,12 +32,12 @@ class Intersector:
         TriangleMesh(self._scene, self.vertices, self.faces)
 
     def first_hit(self, origins: Float32, directions: Float32) -> tuple[Float32, NDArray[np.int32], Float32]:
-        """First hits of rays.
+        """Compute first hits of rays.
 
         Args:
             origins, directions: (N, 3) float32, directions of unit length.
 
-        Returns: range_m (N,), infinite where there is no hit; face (N,), -1 there; cosine (N,) of incidence.
+        Returns: range_m (N,), infinite without a hit; face (N,), -1 without a hit; cosine (N,) of incidence.
         """
         out = self._scene.run(origins, directions, output=1)
         face: NDArray[np.int32] = out["primID"]
@@ -49,7 +49,7 @@ class Intersector:
 
 @lru_cache(maxsize=4)
 def beam_directions(sensor_name: str) -> Float32:
-    """(rows, columns, 3) unit directions of a sensor's beams in its own frame, top row first."""
+    """Compute unit directions (rows, columns, 3) of a sensor's beams in its own frame, top row first."""
     sensor = BY_NAME[sensor_name]
     elevation = np.asarray(sensor.elevations_rad)[:, None]
     azimuth = sensor.azimuths_rad()[None]
@@ -65,8 +65,8 @@ class Hits:
     """First hits of beams: arrays of one shape.
 
     Attributes:
-        range_m: infinite where nothing was met.
-        item: number of the object met, -1 for the ground, -2 for nothing.
+        range_m: infinite without a hit.
+        item: number of the object, -1 for the ground, -2 without a hit.
         material: see :class:`Material`.
         cosine: of the incidence angle.
     """
@@ -79,13 +79,13 @@ class Hits:
 
     @staticmethod
     def none(sensor: Sensor, count: int) -> Hits:
-        """Hits of `count` beams that have met nothing yet."""
+        """Return empty hits of `count` beams."""
         return Hits(sensor, *_nothing((count,)))
 
     def enter(self, beams: NDArray[np.intp], found: FirstHits, item: int | NDArray[np.int32]) -> None:
-        """Take the hits of some beams, numbers (K,) of the flattened arrays, where they are nearer than what is there.
+        """Enter the hits of beams, indices (K,) of the flattened arrays, that are nearer than the present hits.
 
-        item: one for all of them, or (K,).
+        item: one for all beams, or (K,).
         """
         range_m, material, cosine = found
         nearer = range_m < self.range_m.reshape(-1)[beams]
@@ -97,19 +97,19 @@ class Hits:
 
 
 def _nothing(shape: tuple[int, ...]) -> tuple[Float32, NDArray[np.int32], NDArray[np.uint8], Float32]:
-    """What `Hits` has of beams that have met nothing: range, item, material, cosine."""
+    """Return arrays of beams without a hit: range, item, material, cosine."""
     ranges, items = np.full(shape, np.inf, dtype=np.float32), np.full(shape, -2, dtype=np.int32)
     return ranges, items, np.zeros(shape, dtype=np.uint8), np.ones(shape, dtype=np.float32)
 
 
 @dataclass
 class Sweep(Hits):
-    """First hits so far of one turn, one cell a beam: (rows, columns) arrays that casting fills in.
+    """First hits of one turn, one cell a beam: (rows, columns) arrays that casting fills in.
 
     Attributes:
-        mount: where the sensor stands and how it moves; the world stands still.
+        mount: position and motion of the sensor; the world is static.
         directions: (rows, columns, 3) float32 unit vectors, scene frame.
-        origins_m: (1, 3) float64 where all beams start in one place, else (columns, 3), where each column starts.
+        origins_m: (1, 3) float64 if all beams share one origin, else (columns, 3), the origin of each column.
     """
 
     mount: Mount
@@ -118,7 +118,7 @@ class Sweep(Hits):
 
     @classmethod
     def empty(cls, sensor: Sensor, mount: Mount = AT_ORIGIN) -> Sweep:
-        """A sweep that has met nothing yet."""
+        """Return a sweep without hits."""
         shape = (len(sensor.elevations_rad), sensor.columns)
         directions = beam_directions(sensor.name)
         if mount.heading_rad:
@@ -131,8 +131,8 @@ class Sweep(Hits):
         return cls(sensor, *_nothing(shape), mount, directions, origins)
 
     def window(self, centre: Float, radius_m: float) -> tuple[slice, NDArray[np.intp]]:
-        """Rows and columns of the beams that can meet a sphere (scene frame)."""
-        # As seen from the middle of the sensor's way, grown by half of it: the sphere as any beam may meet it.
+        """Find rows and columns of the beams that can meet a sphere (scene frame)."""
+        # Relative to the middle of the sensor's path, a sphere grown by half the path covers all origins.
         first, last = self.origins_m[0], self.origins_m[-1]
         centre, radius_m = centre - (first + last) / 2, radius_m + float(np.linalg.norm(last - first)) / 2
         distance, flat = float(np.linalg.norm(centre)), float(np.hypot(centre[0], centre[1]))
@@ -146,7 +146,7 @@ class Sweep(Hits):
         return (slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0, 0)), columns
 
     def _columns(self, azimuth_rad: float, reach_rad: float) -> NDArray[np.intp]:
-        """Columns within reach of an azimuth of the sensor's own frame, and one more on each side."""
+        """Find the columns within reach of an azimuth in the sensor's frame, and one more on each side."""
         step = self.sensor.view_rad / self.sensor.columns
         if self.sensor.view_rad < 2.0 * np.pi:
             off = np.mod(self.sensor.azimuths_rad() - azimuth_rad + np.pi, 2.0 * np.pi) - np.pi
@@ -156,7 +156,7 @@ class Sweep(Hits):
         return np.unique(columns % self.sensor.columns)
 
     def starts(self, rows: int, columns: NDArray[np.intp]) -> Float:
-        """Where the beams of some rows and columns start: (3,) where in one place, else (rows * columns, 3)."""
+        """Return the beam origins of some rows and columns: (3,) if they share one, else (rows * columns, 3)."""
         if len(self.origins_m) == 1:
             only: Float = self.origins_m[0]
             return only
@@ -170,7 +170,7 @@ class Sweep(Hits):
         self.enter(np.arange(len(directions)), (range_m, material[face], cosine), item[face])
 
     def cast_near(self, centre: Float, radius_m: float, hit: Hit, item: int) -> None:
-        """Cast the beams that can meet a sphere (scene frame) at what it holds."""
+        """Cast the beams that can meet a sphere (scene frame) at the object in the sphere."""
         rows, columns = self.window(centre, radius_m)
         directions = self.directions[rows][:, columns].reshape(-1, 3)
         if len(directions):
@@ -186,11 +186,11 @@ def hit_instance(
     starts: Float,
     directions: NDArray[np.floating],
 ) -> FirstHits:
-    """First hits of rays on a mesh given in its object frame.
+    """Compute first hits of rays on a mesh given in its object frame.
 
     Args:
         scene_R_object: (3, 3); position: (3,) of the object's origin in the scene.
-        glass_band_m: what lies between these heights of the object frame counts as glass.
+        glass_band_m: hits between these heights of the object frame count as glass.
         starts: (3,) or (N, 3), scene frame; directions: (N, 3).
     """
     directions = directions.astype(np.float32, copy=False)
@@ -210,7 +210,7 @@ def hit_leaves(
     starts: Float,
     directions: NDArray[np.floating],
 ) -> FirstHits:
-    """First hits of rays on an ellipsoid of leaves: each gets in to an exponentially distributed depth, or passes.
+    """Compute first hits of rays on an ellipsoid of leaves. Depths are exponentially distributed; deep rays pass.
 
     Args:
         centre, radii: (3,). free_path_m: mean depth. starts: (3,) or (N, 3), scene frame; directions: (N, 3).
@@ -227,12 +227,12 @@ def hit_leaves(
 def _through_ellipsoid(
     starts: Float, directions: Float, centre: Float, radii: Float
 ) -> tuple[NDArray[np.bool_], Float, Float]:
-    """Where rays enter and leave an ellipsoid.
+    """Compute the ranges at which rays enter and leave an ellipsoid.
 
     Args:
         starts: (3,) or (N, 3), scene frame; directions: (N, 3) float64 unit vectors.
 
-    Returns: met (N,) bool, whether the ray's line meets it; enter and leave (N,), ranges, negative behind the start.
+    Returns: met (N,) bool, the ray's line meets the ellipsoid; enter and leave (N,), negative behind the start.
     """
     scaled, offset = directions / radii, (starts - centre) / radii
     a = (scaled * scaled).sum(axis=1)
@@ -246,5 +246,5 @@ def _through_ellipsoid(
 
 
 def _each(start: Float32, directions: Float32) -> Float32:
-    """(N, 3) starts of N rays, from one place or from N."""
+    """Repeat one start for N rays, or return N starts: (N, 3)."""
     return start if start.ndim == 2 else np.repeat(start[None], len(directions), axis=0)

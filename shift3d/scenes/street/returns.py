@@ -1,4 +1,4 @@
-"""From first hits to returns: noise along the beam, rounding, drop-out, reflectance; and returns as a scene's rows."""
+"""Conversion of first hits to returns (range noise, rounding, drop-out, reflectance), and of returns to scene rows."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from shift3d.scenes.street.shapes import ALBEDO, Material
 Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Row and column of beams, (K,) each."""
 
-# Received power, albedo * cosine / range^2 in 1/m^2, at which half of the returns are lost; and the width of
-# the transition in factors of e. The ground then fades out between 45 and 65 m, as it does in KITTI frames.
+# Received power, albedo * cosine / range^2 in 1/m^2, at which half of the returns are lost, and the width of
+# the transition in factors of e. The ground then fades out between 45 and 65 m, as in KITTI frames.
 HALF_POWER = 2.2e-6
 POWER_SPREAD = 0.45
 LIMIT_RANGE_M = float(np.sqrt(0.9 / HALF_POWER))
-"""Where a surface of albedo 0.9 met head on sends back just HALF_POWER, as `SensorModel` states the law."""
+"""Range at which a surface of albedo 0.9 at normal incidence gives HALF_POWER; see `SensorModel`."""
 _ROUGHNESS_M = {Material.TERRAIN: 0.02, Material.FOLIAGE: 0.05, Material.CLOTH: 0.01}
 
 
 @dataclass(frozen=True)
 class Paint:
-    """Of one vehicle: albedo of its body, and the share of beams that its windows do not send back."""
+    """Paint of one vehicle: albedo of its body, and the share of beams that its windows do not return."""
 
     albedo: float
     glass_loss: float
 
 
 def sensor_model(sensor: Sensor) -> SensorModel:
-    """The sensor as `finish` acts it. Beside it, rough surfaces scatter ranges and drop_rate loses returns anywhere."""
+    """Return the model that `finish` applies, except range scatter of rough surfaces and loss by drop_rate."""
     return SensorModel(
         range_noise_m=sensor.range_noise_m,
         divergence_rad=sensor.divergence_rad,
@@ -46,22 +46,21 @@ def sensor_model(sensor: Sensor) -> SensorModel:
 def finish(
     sweep: Hits, paint: dict[int, Paint], rng: np.random.Generator, share: NDArray[np.float64] | float = 1.0
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Ranges as a sensor reports them.
+    """Compute ranges as a sensor reports them.
 
     Args:
         sweep: first hits of every beam.
-        paint: of vehicles, by item number; everything else has its material's albedo.
-        share: of each beam's light that gets there and back; the rest met something in front.
+        paint: of vehicles, by item number; other objects have their material's albedo.
+        share: share of each beam's light that gets there and back; the rest met something in front.
 
-    Returns: range_m, reflectance (both float32) and kept (bool), in the shape of the hits.
-
-    Source: our choice; noise acts along the beam only, and power falls with range squared and incidence.
+    Returns: range_m, reflectance (both float32) and kept (bool), in the shape of the hits. Source: our choice; noise
+    acts along the beam only, and power falls with range squared and incidence.
     """
     sensor, shape = sweep.sensor, sweep.range_m.shape
     noise = sensor.range_noise_m * rng.standard_normal(shape)
     for material, roughness_m in _ROUGHNESS_M.items():
         rough = sweep.material == material
-        # An uneven surface met at a grazing angle moves the hit far along the beam.
+        # At a grazing angle an uneven surface moves the hit far along the beam.
         noise[rough] += roughness_m * rng.standard_normal(int(rough.sum())) / np.maximum(sweep.cosine[rough], 0.15)
     range_m = np.where(np.isfinite(sweep.range_m), sweep.range_m, 1e6) + noise
     range_m = np.round(range_m / sensor.range_step_m) * sensor.range_step_m
@@ -78,7 +77,7 @@ def finish(
 
 
 def _per_item(sweep: Hits, values: dict[int, float], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """For each beam the value of the item it met, or that of the material where the item has none."""
+    """Look up the value of each beam's item, or of its material if the item has no value."""
     most = max([int(sweep.item.max(initial=-1)), *values])
     own = np.full(most + 3, np.nan)
     for number, value in values.items():
@@ -89,10 +88,10 @@ def _per_item(sweep: Hits, values: dict[int, float], otherwise: NDArray[np.float
 
 @dataclass(frozen=True)
 class Echoes:
-    """Returns of one turn, or of several one after the other.
+    """Returns of one turn, or of several turns one after the other.
 
     Attributes:
-        points, origins: (K, 3) float32 in the frame the scene is given in; origins a view of one row where they can.
+        points, origins: (K, 3) float32 in the frame of the scene's points; origins are a view of one row if possible.
         reflectance, time_s: (K,) float32. pixel: (K, 2) int32, row and column in the sensor's range image.
     """
 
@@ -104,16 +103,16 @@ class Echoes:
 
     @staticmethod
     def of(sweep: Sweep, cells: Cells, range_m: Float32, reflectance: Float32, compensated: bool) -> Echoes:
-        """Returns of some beams of a sweep.
+        """Convert returns of some beams of a sweep.
 
         Args:
-            cells: row and column of each; range_m, reflectance: (K,).
-            compensated: points as they were at time 0; otherwise in the frame of the sensor as it fires.
+            cells: row and column of each beam; range_m, reflectance: (K,).
+            compensated: points belong to time 0; otherwise to the frame of the sensor at the firing time.
         """
         row, column = cells
         points = (sweep.directions[row, column] * range_m[:, None]).astype(np.float32)
         starts = _origins_of_columns(sweep, compensated)
-        if starts.any():  # not for the origin: adding zero turns -0.0 into 0.0
+        if starts.any():  # skipped at the origin: adding zero turns -0.0 into 0.0
             points = (points + starts[column if len(starts) > 1 else 0]).astype(np.float32)
         pixel = np.stack(cells, axis=1).astype(np.int32)
         times = sweep.sensor.firing_times_s()[column].astype(np.float32)
@@ -123,7 +122,7 @@ class Echoes:
     def of_kept(
         sweep: Sweep, kept: NDArray[np.bool_], range_m: Float32, reflectance: Float32, compensated: bool
     ) -> Echoes:
-        """Those of a sweep that were kept, row by row; arguments (rows, columns)."""
+        """Convert the kept returns of a sweep, row by row; arguments (rows, columns)."""
         row, column = np.nonzero(kept)
         return Echoes.of(sweep, (row, column), range_m[kept], reflectance[kept], compensated)
 
@@ -139,7 +138,7 @@ class Echoes:
 
 
 def no_return_beams(sweeps: Sequence[tuple[Sweep, NDArray[np.bool_]]], compensated: bool) -> NoReturnBeams:
-    """The beams of sweeps, each with what it kept (rows, columns), that brought nothing back, row by row."""
+    """Collect the no-return beams of sweeps, row by row; each sweep comes with its kept beams (rows, columns)."""
     origins, directions, times = [], [], []
     for sweep, kept in sweeps:
         row, column = np.nonzero(~kept)
@@ -151,7 +150,7 @@ def no_return_beams(sweeps: Sequence[tuple[Sweep, NDArray[np.bool_]]], compensat
 
 
 def _origins_of_columns(sweep: Sweep, compensated: bool) -> NDArray[np.float64]:
-    """(1, 3) or (columns, 3): where beams start in the frame that points are given in."""
+    """Return beam origins (1, 3) or (columns, 3) in the frame of the points."""
     return sweep.origins_m if compensated else np.array(sweep.mount.origin_m)[None]
 
 

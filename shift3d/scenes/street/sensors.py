@@ -1,4 +1,4 @@
-"""Beam tables of the spinning LiDARs that the procedural street is seen with, and where they are mounted."""
+"""Beam tables of the spinning LiDARs of the procedural street, and their mounts."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Sensor:
-    """A spinning LiDAR whose beams all leave one point.
+    """Spinning LiDAR with a common origin of all beams.
 
     Attributes:
         name: one of :data:`BEAMS`, or of a head beside the main one.
         elevations_rad: beam elevations from the top beam down.
-        columns: firings a turn; azimuth decreases (clockwise from above) from half the view: over a whole turn,
-            column 0 looks backwards.
+        columns: firings a turn. Azimuth decreases (clockwise from above) from half the view; on a full turn column 0
+            looks backwards.
         mount_height_m: above the ground.
         min_range_m, max_range_m: of a return.
         range_noise_m: standard deviation along the beam.
-        range_step_m: resolution the range is rounded to.
+        range_step_m: resolution of the reported range.
         turn_s: duration of a turn.
         drop_rate: share of returns lost at random, at any range.
         divergence_rad: full angle of a beam's cone.
@@ -44,18 +44,18 @@ class Sensor:
     view_rad: float = 2.0 * np.pi
 
     def azimuths_rad(self) -> NDArray[np.float64]:
-        """(columns,) azimuths in (-pi, pi], decreasing; sensor frame."""
+        """Compute azimuths (columns,) in (-pi, pi], decreasing; sensor frame."""
         return self.view_rad / 2.0 - self.view_rad * (np.arange(self.columns) + 0.5) / self.columns
 
     def firing_times_s(self) -> NDArray[np.float64]:
-        """(columns,) after the start of the turn; the whole turn takes turn_s, a sector its share of it."""
+        """Compute firing times (columns,) after the start of the turn; a sector takes its share of turn_s."""
         a_column_s = self.turn_s * (self.view_rad / (2.0 * np.pi)) / self.columns
         return np.arange(self.columns, dtype=np.float64) * a_column_s
 
 
 @dataclass(frozen=True)
 class Mount:
-    """Where a sensor stands at the start of its turn, and how it moves.
+    """Position of a sensor at the start of its turn, and its motion.
 
     Attributes:
         origin_m: scene frame. heading_rad: of its own forward, from the scene's +x. speed_m_s: along the scene's +x.
@@ -70,10 +70,9 @@ AT_ORIGIN = Mount()
 
 
 def _waymo_top_deg() -> NDArray[np.float64]:
-    """64 beams from +2.4 to -17.6 degrees, closest together at the horizon, widening downwards.
+    """Compute 64 elevations from +2.4 to -17.6 degrees, densest at the horizon, widening downwards.
 
-    Source: range from the Waymo Open Dataset paper; that the spacing widens downwards is in its calibrations,
-    the law of widening is our choice.
+    Source: range from the Waymo Open Dataset paper; the widening is in its calibrations, its law our choice.
     """
     step = 0.15 + 0.33 * np.linspace(0.0, 1.0, 63)
     step *= 20.0 / step.sum()
@@ -81,7 +80,7 @@ def _waymo_top_deg() -> NDArray[np.float64]:
 
 
 def _by_rule_deg() -> dict[str, NDArray[np.float64]]:
-    """Elevations by a rule: of the HDL-64E, 32 beams a third of a degree apart above 32 half a degree apart."""
+    """Compute elevations by a rule. HDL-64E: 32 beams a third of a degree apart above 32 beams half a degree apart."""
     upper = 2.0 - np.arange(32) / 3.0
     return {
         "hdl64": np.concatenate((upper, upper[-1] - 0.5 - np.arange(32) * 0.5)),
@@ -92,7 +91,7 @@ def _by_rule_deg() -> dict[str, NDArray[np.float64]]:
 
 
 def _read() -> dict[str, Sensor]:
-    """The sensors of ``sensors.toml`` by name."""
+    """Read the sensors of ``sensors.toml`` by name."""
     found: dict[str, dict[str, Any]] = {}
     by_rule = _by_rule_deg()
     for name, row in tomllib.loads((Path(__file__).parent / "sensors.toml").read_text(encoding="utf-8")).items():
@@ -105,33 +104,31 @@ def _read() -> dict[str, Sensor]:
 
 BEAMS = _read()
 SHORT32 = BEAMS.pop("short32")
-"""A short-range sensor for the corners of the car. `BEAMS`: those whose beams any street can be seen with; noise, steps
-of range and losses that are not published are those of the HDL-64E (our choice)."""
+"""Short-range sensor for the corners of the car. `BEAMS`: sensors that can scan any street; unpublished noise, range
+steps and losses are those of the HDL-64E (our choice)."""
 HDL64, WAYMO_TOP, AV2_PAIR = BEAMS["hdl64"], BEAMS["waymo_top"], BEAMS["av2_pair"]
 SENSORS = {sensor.name: sensor for sensor in (HDL64, WAYMO_TOP)}
-"""Sensors with streets of their own."""
+"""Sensors with their own streets."""
 _AV2_LOWER = replace(
     AV2_PAIR, name="av2_lower", elevations_rad=tuple(-elevation for elevation in reversed(AV2_PAIR.elevations_rad))
 )
 _AV2_APART_M = 0.115
-"""Source: the calibration of an Argoverse 2 log: heights of 1.640 and 1.525 m, the lower head turned about x."""
+"""Distance of the heads. Source: an Argoverse 2 log: heights of 1.640 and 1.525 m, the lower head turned about x."""
 BY_NAME = {**BEAMS, SHORT32.name: SHORT32, _AV2_LOWER.name: _AV2_LOWER}
 _CORNERS = ((2.0, 1.0, 45.0), (2.0, -1.0, -45.0), (-3.6, 1.0, 135.0), (-3.6, -1.0, -135.0))  # x, y, degrees
 
 
 def companions(main: Sensor, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
-    """The other heads of a sensor that has several, at the main one's height in the scene; none for most sensors."""
+    """Return the other heads of a sensor with several, at the main head's mount height; none for most sensors."""
     if main.name != AV2_PAIR.name:
         return []
     return [(replace(_AV2_LOWER, mount_height_m=main.mount_height_m), Mount((0.0, 0.0, -_AV2_APART_M), 0.0, speed_m_s))]
 
 
 def side_sensors(main: Sensor, count: int, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
-    """Short-range sensors at the corners of the car under the main one, looking outwards along the diagonals.
+    """Return short-range sensors at the corners of the car below the main sensor, facing outwards along the diagonals.
 
-    They share the main sensor's noise and divergence, so that one `SensorModel` describes the whole scene.
-
-    Source: our choice.
+    They share the main sensor's noise and divergence: one `SensorModel` describes the whole scene. Source: our choice.
     """
     sensor = replace(SHORT32, range_noise_m=main.range_noise_m, divergence_rad=main.divergence_rad)
     height_m = SHORT32.mount_height_m - main.mount_height_m

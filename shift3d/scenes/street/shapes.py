@@ -1,4 +1,4 @@
-"""Small closed meshes (boxes, prisms, spheres) that the street's static objects are put together from."""
+"""Small closed meshes (boxes, prisms, spheres), the building blocks of the street's static objects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Int = NDArray[np.int32]
 
 
 class Material(IntEnum):
-    """What a beam met; decides reflectance, roughness and drop-out."""
+    """Material of a hit surface; determines reflectance, roughness and drop-out."""
 
     ROAD = 0
     SIDEWALK = 1
@@ -34,14 +34,14 @@ ALBEDO = np.array([0.18, 0.28, 0.35, 0.45, 0.35, 0.45, 0.4, 0.35, 0.4, 0.2])
 
 @dataclass(frozen=True)
 class Part:
-    """A piece of mesh: vertices (V, 3) float64, faces (F, 3) int32, one material."""
+    """Piece of mesh: vertices (V, 3) float64, faces (F, 3) int32, one material."""
 
     vertices: Float
     faces: Int
     material: Material
 
     def placed(self, x: float, y: float, z: float, heading_rad: float) -> Part:
-        """The part turned by heading about its z axis, then moved."""
+        """Return the part rotated by the heading about its z axis, then translated."""
         cos, sin = np.cos(heading_rad), np.sin(heading_rad)
         turned = self.vertices @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return Part(turned + np.array([x, y, z]), self.faces, self.material)
@@ -56,7 +56,7 @@ def _unit_box() -> tuple[Float, Int]:
 
 
 def box(size: tuple[float, float, float], at: tuple[float, float, float], material: Material, top: float = 1.0) -> Part:
-    """A box that stands on ``at`` (centre of its bottom); its top face is scaled by ``top``."""
+    """Build a box whose bottom centre is ``at``; its top face is scaled by ``top``."""
     corners, faces = _unit_box()
     vertices = corners * np.array(size)
     vertices[:, :2] *= np.where(corners[:, 2:] > 0.5, top, 1.0)
@@ -70,7 +70,7 @@ def prism(
     material: Material,
     sides: int = 8,
 ) -> Part:
-    """A (tapered) cylinder from start to end, closed at both ends."""
+    """Build a (tapered) cylinder from start to end, closed at both ends."""
     a, b = np.array(start), np.array(end)
     axis = (b - a) / np.linalg.norm(b - a)
     helper = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
@@ -94,7 +94,7 @@ def prism(
 
 @lru_cache(maxsize=1)
 def _unit_sphere() -> tuple[Float, Int]:
-    """Eight meridians, five parallels and two poles."""
+    """Build a sphere of eight meridians, five parallels and two poles."""
     polar = np.pi * np.arange(1, 6) / 6
     around = 2 * np.pi * np.arange(8) / 8
     ring = np.stack(
@@ -123,7 +123,7 @@ def ellipsoid(radii: tuple[float, float, float], at: tuple[float, float, float],
 
 @dataclass(frozen=True)
 class Mesh:
-    """Parts merged: vertices (V, 3), faces (F, 3), and each face's material and item number (F,)."""
+    """Merged parts: vertices (V, 3), faces (F, 3), and each face's material and item number (F,)."""
 
     vertices: Float
     faces: Int

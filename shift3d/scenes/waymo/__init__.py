@@ -1,1 +1,1 @@
-"""The Waymo Open Dataset, version 2: Parquet components of a segment, read with pyarrow alone."""
+"""Waymo Open Dataset, version 2: Parquet components of a segment, read with pyarrow alone."""

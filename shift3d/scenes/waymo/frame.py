@@ -1,4 +1,4 @@
-"""One frame of a segment: the components' rows of each laser, paired by all their keys, boxes and weather."""
+"""Reader of one frame of a segment: rows of each laser joined by all their keys, boxes and weather."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from shift3d.store.location import Location
 Float = NDArray[np.float64]
 
 LASERS = {"TOP": 1, "FRONT": 2, "SIDE_LEFT": 3, "SIDE_RIGHT": 4, "REAR": 5}
-"""Lasers by name, with the number that `key.laser_name` has for each."""
+"""Lasers by name, with their number in `key.laser_name`."""
 _TOP = LASERS["TOP"]
 _IMAGES = tuple(f"[LiDARComponent].range_image_return{number}" for number in (1, 2))
 _POSES = "[LiDARPoseComponent].range_image_return1"
@@ -32,12 +32,12 @@ _PAIR = "Pair components of one segment: copy both again"
 
 @dataclass(frozen=True)
 class LaserFrame:
-    """What one laser saw in one frame.
+    """Data of one laser in one frame.
 
     Attributes:
-        laser: its number, 1 to 5.
-        images: of the first and the second return, (H, W, 4) float32: range in metres (not positive: no return),
-            intensity, elongation, and 1 inside a no-label zone.
+        laser: number of the laser, 1 to 5.
+        images: first and second returns, (H, W, 4) float32: range, metres (not positive: none), intensity, elongation,
+            and 1 in a no-label zone.
         origins, directions: (H, W, 3) float64 of each pixel's beam, vehicle frame.
     """
 
@@ -48,14 +48,14 @@ class LaserFrame:
 
 
 def component_file(root: Location, component: str, segment: str) -> Component:
-    """A component of a segment below the root, whether it is there or not."""
+    """Return a component of a segment below the root; the file need not exist."""
     return Component(root / component / f"{segment}.parquet", segment)
 
 
 def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[str]) -> list[LaserFrame]:
-    """The frame as each of the lasers saw it, in the order of their numbers.
+    """Read a frame of each of the lasers, in the order of their numbers.
 
-    Raises InputError: a component is missing or unreadable; a laser has no row, or two, in one of them; images of a
+    Raises InputError: a component is missing or unreadable; a laser has no row, or two, in a component; the images of a
     laser differ in size, or have a range that is not finite.
     """
     lidar = component_file(root, "lidar", segment)
@@ -78,9 +78,9 @@ def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[st
 
 
 def read_calibrations(root: Location, segment: str, wanted: Sequence[int]) -> dict[int, LaserCalibration]:
-    """Lasers by number.
+    """Read the calibrations of the lasers by number.
 
-    Raises InputError: the component is missing or unreadable, has a laser twice, or lacks one that is wanted.
+    Raises InputError: the component is missing or unreadable, has a laser twice, or lacks a wanted laser.
     """
     component = component_file(root, "lidar_calibration", segment)
     columns = [LASER, _EXTRINSIC, *(f"{_INCLINATION}.{part}" for part in ("min", "max", "values"))]
@@ -102,7 +102,7 @@ def read_calibrations(root: Location, segment: str, wanted: Sequence[int]) -> di
 
 
 def read_vehicle_pose(root: Location, segment: str, timestamp: int) -> Float:
-    """global_SE3_vehicle (4, 4) of a frame. Raises InputError: the component has not exactly one row of it."""
+    """Read global_SE3_vehicle (4, 4) of a frame. Raises InputError: no row, or several, for the frame."""
     component = component_file(root, "vehicle_pose", segment)
     rows = by_key(component.rows([_VEHICLE], timestamp), FRAME, str(component.file))
     if timestamp not in rows:
@@ -124,7 +124,7 @@ def _pixels(root: Location, segment: str, timestamp: int, shape: tuple[int, int]
 
 
 def _by_laser(component: Component, columns: Sequence[str], timestamp: int | None) -> dict[int, dict[str, Any]]:
-    """Rows by the laser's number; some published samples hold its name in place of it."""
+    """Index rows by the laser's number; some published samples store the laser's name instead."""
     rows = by_key(component.rows(columns, timestamp), LASER, str(component.file))
     found = {}
     for key, row in rows.items():
@@ -143,7 +143,7 @@ def _row(rows: Mapping[int, dict[str, Any]], number: int, component: Component, 
 
 
 def _image(row: Mapping[str, Any], name: str, channels: int, where: str) -> NDArray[np.float32]:
-    """A flat list and its shape as (H, W, channels) float32."""
+    """Reshape a flat list to (H, W, channels) float32."""
     shape = [int(edge) for edge in numbers(row[f"{name}.shape"], 3, where)]
     values = row[f"{name}.values"]
     if shape[2] != channels or min(shape) < 1:
@@ -153,7 +153,7 @@ def _image(row: Mapping[str, Any], name: str, channels: int, where: str) -> NDAr
 
 
 CLASSES = {1: ("VEHICLE", "vehicle"), 2: ("PEDESTRIAN", "pedestrian"), 3: ("SIGN", "other"), 4: ("CYCLIST", "cyclist")}
-"""Types of boxes by number: the data set's name and the class here."""
+"""Types of boxes by number: name in the data set, and shift3d class."""
 _OBJECT = "key.laser_object_id"
 _BOX = "[LiDARBoxComponent].box"
 _FIELDS = tuple(
@@ -166,10 +166,10 @@ _WEATHER = "[StatsComponent].weather"
 def read_labels(
     root: Location, segment: str, timestamp: int, points: NDArray[np.float32], offset: NDArray[np.float64]
 ) -> Labels:
-    """Boxes of a frame (none is a valid answer), in the order of the file; counts are those of the points given.
+    """Read the boxes of a frame (possibly none), in the order of the file, and count the given points.
 
     Args:
-        points: (N, 3) scene frame. offset: (3,) of the scene's origin in the vehicle frame, metres.
+        points: (N, 3) scene frame. offset: (3,) scene origin in the vehicle frame, metres.
 
     Raises InputError: the component is missing, unreadable or without rows; an object twice; an unknown type.
     """
@@ -193,7 +193,7 @@ def read_labels(
 
 
 def read_weather(root: Location, segment: str, timestamp: int) -> str:
-    """ "rain" or "dry", as the segment's statistics have it; dry where they say nothing of this frame.
+    """Read "rain" or "dry" from the segment's statistics; dry if they do not list this frame.
 
     Raises InputError: the component is missing, unreadable or without rows.
     """

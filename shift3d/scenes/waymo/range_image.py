@@ -1,8 +1,7 @@
-"""Range images to beams.
+"""Conversion of range images to beams.
 
-Frames: ``laser`` (the sensor's own), ``vehicle`` (x forward, y left, z up, at the frame's time), ``global``.
-
-Source: the data set's published tools for version 2 describe the geometry; see `vehicle_beams`.
+Frames: ``laser`` (the sensor's own), ``vehicle`` (x forward, y left, z up, at the frame's time), ``global``. Source:
+the data set's published tools for version 2 describe the geometry; see `vehicle_beams`.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LaserCalibration:
-    """One sensor of the vehicle.
+    """Calibration of one laser of the vehicle.
 
-    vehicle_SE3_laser: (4, 4). inclination_rad: lowest and highest beam; beams_rad: of each beam from the lowest up,
-    or None: evenly spaced between the two.
+    vehicle_SE3_laser: (4, 4). inclination_rad: lowest and highest beam. beams_rad: inclination of each beam from the
+    lowest up; None: evenly spaced between the two.
     """
 
     vehicle_SE3_laser: Float  # noqa: N815
@@ -32,9 +31,9 @@ class LaserCalibration:
 
 
 def inclinations(laser: LaserCalibration, height: int, where: str) -> Float:
-    """(height,) inclinations of the image's rows, radians, the highest beam first.
+    """Compute the inclinations (height,) of the image's rows, radians, the highest beam first.
 
-    Raises InputError: a table of another length, or angles that are no radians.
+    Raises InputError: a table of another length, or angles that are not radians.
     """
     if laser.beams_rad is None:
         low, high = laser.inclination_rad
@@ -50,14 +49,12 @@ def inclinations(laser: LaserCalibration, height: int, where: str) -> Float:
 
 
 def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
-    """Poses (H, W, 6) of pixels, those that are all zero taken from the nearest row above with a pose.
+    """Fill all-zero poses (H, W, 6) of pixels from the nearest row above that has a pose.
 
-    Rows at the bottom of published images may be zero. The pixels of a column fire together, so that poses differ
-    little along it. A column without any takes that of the nearest column.
+    The bottom rows of published images may be zero. The pixels of a column fire together, so that poses differ little
+    along it. A column without any pose takes those of the nearest column.
 
-    Raises InputError: no pixel has a pose, or one has NaN.
-
-    Source: our choice.
+    Raises InputError: no pixel has a pose, or one has NaN. Source: our choice.
     """
     array: Float = np.asarray(poses, np.float64)
     if not np.isfinite(array).all():
@@ -77,7 +74,7 @@ def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
 
 
 def vehicle_SE3_pixels(poses: Float, global_SE3_vehicle: Float) -> Float:
-    """(H, W, 4, 4) from the vehicle as each pixel fired to the vehicle at the frame's time.
+    """Compute transforms (H, W, 4, 4) from the vehicle at each pixel's firing time to the vehicle at the frame's time.
 
     Args:
         poses: (H, W, 6) roll, pitch, yaw, x, y, z of the vehicle in the global frame.
@@ -91,14 +88,13 @@ def vehicle_SE3_pixels(poses: Float, global_SE3_vehicle: Float) -> Float:
 def vehicle_beams(
     laser: LaserCalibration, shape: tuple[int, int], pixels: Float | None, where: str
 ) -> tuple[Float, Float]:
-    """Where the beam of each pixel starts and points, vehicle frame.
+    """Compute origin and direction of each pixel's beam, vehicle frame.
 
-    A return at range r lies at origin + r direction. Column j of W looks along azimuth
-    (2 (W - j - 0.5) / W - 1) pi - atan2(E10, E00), E the laser's extrinsic; so azimuths fall along a row.
+    A return at range r lies at origin + r direction. Column j of W has the azimuth (2 (W - j - 0.5) / W - 1) pi -
+    atan2(E10, E00), E the laser's extrinsic; azimuths therefore decrease along a row.
 
     Args:
-        shape: (H, W) of the range image. pixels: (H, W, 4, 4) as `vehicle_SE3_pixels` has them; None: the vehicle
-            stands where it is at the frame's time.
+        shape: (H, W) of the range image. pixels: (H, W, 4, 4) of `vehicle_SE3_pixels`; None: vehicle at rest.
 
     Returns:
         origins (H, W, 3), metres, and unit directions (H, W, 3), float64; origins are a broadcast view without pixels.

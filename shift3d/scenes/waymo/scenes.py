@@ -29,7 +29,8 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike
 
 COMPONENTS = ("lidar", "lidar_calibration", "lidar_pose", "vehicle_pose")
-"""What a frame is made of. A folder may lack labels (`lidar_box`) and weather (`stats`), a segment of it may not."""
+"""Required components of a frame. The folders lidar_box (labels) and stats (weather) are optional, but must be
+complete."""
 _OPTIONAL = ("lidar_box", "stats")
 _SEGMENTS_AT_ONCE = 16
 
@@ -38,21 +39,21 @@ class WaymoScenes(RecordedScenes):
     """Frames under a folder or bucket with ``{component}/{segment}.parquet``.
 
     Args:
-        root: holds lidar/, lidar_calibration/, lidar_pose/, vehicle_pose/, and lidar_box/ and stats/ where there are
-            labels and weather.
+        root: holds lidar/, lidar_calibration/, lidar_pose/, vehicle_pose/, and optionally lidar_box/ (labels) and
+            stats/ (weather).
         names: ``SEGMENT-TIMESTAMP`` of the frames to use; None: every frame, in order.
-        count: the first so many; those after them are not looked for.
-        lasers: which sensors: names of `LASERS`.
-        every: of each segment every n-th frame, of those that are not named.
-        keep_bad: list a segment whose frames cannot be listed under its own name; loading it raises InputError.
+        count: maximum number of frames; the search stops there.
+        lasers: names of the sensors to use, from `LASERS`.
+        every: use every n-th frame of each segment; has no effect on named frames.
+        keep_bad: list a segment with an unreadable list of frames under its own name; loading it raises InputError.
 
-    A scene's origin is the TOP laser (its axes are the vehicle's), whether or not that laser is used. Points are laser
-    by laser, first returns, then second ones, row by row of each range image; those without a range are left out and
-    are, where neither return has one, `Scene.no_return`. Every beam starts where its own pixel's pose puts its
-    sensor. Points are motion compensated, to the frame's time. No firing times are stated by the data set. Reflectance
-    is tanh of the intensity, which has no upper limit: the scale that detectors of this data set are trained on.
+    A scene's origin is the TOP laser (its axes are the vehicle's), whether or not that laser is used. Points are
+    ordered by laser, then by return, then row by row of the range image. Pixels without a range in both returns are
+    `Scene.no_return`. Every beam starts at its sensor's position by the pixel's own pose. Points are motion compensated
+    to the frame's time. The data set states no firing times. Reflectance is tanh of the intensity, which has no upper
+    limit: detectors of this data set are trained on that scale.
 
-    Raises InputError: no component lidar/, an unknown laser, or one twice.
+    Raises InputError: no component lidar/, an unknown laser, or a laser twice.
     """
 
     dataset = "waymo"
@@ -83,7 +84,7 @@ class WaymoScenes(RecordedScenes):
         segment, timestamp = self._split(name)
         frames = read_frame(self.root, segment, timestamp, self.lasers)
         top = LASERS["TOP"]
-        offset = read_calibrations(self.root, segment, [top])[top].vehicle_SE3_laser[:3, 3]  # of a scene's origin
+        offset = read_calibrations(self.root, segment, [top])[top].vehicle_SE3_laser[:3, 3]  # the scene's origin
         where = f"{component_file(self.root, 'lidar', segment).file}, frame {timestamp}"
         has_labels, has_weather = "lidar_box" in self._components, "stats" in self._components
         parts = [_returns(frame, number, offset) for frame in frames for number in (0, 1)]
@@ -117,7 +118,7 @@ class WaymoScenes(RecordedScenes):
         return str(self.root / "lidar")
 
     def _found(self) -> Iterator[str]:
-        """Some segments at a time."""
+        """List the frames, reading `_SEGMENTS_AT_ONCE` segments at a time."""
         segments = self._segments
         if self._wanted is not None:
             requested = {name.rpartition("-")[0] or name for name in self._wanted}
@@ -138,7 +139,7 @@ class WaymoScenes(RecordedScenes):
     def _split(self, name: str) -> tuple[str, int]:
         segment, _, timestamp = name.rpartition("-")
         if not timestamp.isdecimal() or segment not in self._segments:
-            if name in self._segments:  # listed although it is bad: say now what is wrong with it
+            if name in self._segments:  # a bad segment listed by keep_bad: raise its error
                 component_file(self.root, "lidar", name).timestamps()
             remedy = f"Choose a segment from: {first_few(self._segments)}"
             raise InputError(f"unknown scene {name!r}", str(self.root), remedy)
@@ -153,7 +154,7 @@ class WaymoScenes(RecordedScenes):
         return stems_in(self.root / "lidar", ".parquet")
 
     def _velocity(self, segment: str, timestamp: int) -> tuple[float, float, float] | None:
-        """Of the vehicle, from its pose to that of the frame after it (of the last one: before it)."""
+        """Compute the vehicle's velocity between its poses in this frame and the next (last frame: the previous)."""
         times = component_file(self.root, "vehicle_pose", segment).timestamps()
         other = next((time for time in times if time > timestamp), None) or max(
             (time for time in times if time < timestamp), default=None
@@ -166,7 +167,7 @@ class WaymoScenes(RecordedScenes):
 
 
 def _returns(frame: LaserFrame, number: int, offset: NDArray[np.float64]) -> tuple[NDArray[np.generic], ...]:
-    """Points, origins, intensities, no-label zones, pixels and return numbers of a laser's first or second returns."""
+    """Return points, origins, intensities, no-label zones, pixels and numbers of a laser's first or second returns."""
     image = frame.images[number]
     pixel = np.argwhere(image[..., 0] > 0.0)
     rows, columns = pixel.T

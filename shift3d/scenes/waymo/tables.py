@@ -1,4 +1,4 @@
-"""Parquet components of a segment: columns by name, rows by all their keys, a frame at a time."""
+"""Parquet components of a segment: columns by name, rows by all keys, one frame at a time."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _AGAIN = "Copy it again"
 class Component:
     """One component of one segment.
 
-    file: ``{root}/{component}/{segment}.parquet``, of a folder or a bucket. segment: that all of its rows must be of.
+    file: ``{root}/{component}/{segment}.parquet`` in a folder or a bucket. segment: required segment of all rows.
     """
 
     file: Location
     segment: str
 
     def timestamps(self) -> list[int]:
-        """Frames that have rows, microseconds, ascending.
+        """List the frames that have rows, microseconds, ascending.
 
         Raises InputError: the file cannot be read, or has no rows.
         """
@@ -44,7 +44,7 @@ class Component:
         return [int(value) for value in np.unique(_integers(keys[FRAME], self.file))]
 
     def rows(self, columns: Sequence[str], timestamp: int | None = None) -> pa.Table:
-        """The rows of one frame, or all of a component that has no frames. Reads the columns and row groups it needs.
+        """Read the rows of one frame, or all of a component without frames, from the needed columns and row groups.
 
         Raises InputError: the file cannot be read, lacks a column, has no rows at all, or rows of another segment.
         """
@@ -65,7 +65,7 @@ class Component:
 
     @contextlib.contextmanager
     def _opened(self, columns: Sequence[str]) -> Iterator[pq.ParquetFile]:
-        """The open file; what goes wrong while it is open is said in one line."""
+        """Open the file; errors while it is open become InputErrors of one line."""
         with opened(self.file, "Parquet file", pa.ArrowException) as handle:
             parquet = pq.ParquetFile(handle, buffer_size=_BUFFER_BYTES)
             missing = [name for name in columns if name not in parquet.schema_arrow.names]
@@ -82,7 +82,7 @@ class Component:
 
 
 def _rows_at(parquet: pq.ParquetFile, group: int, timestamp: int, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-    """Rows of one frame in one row group, without holding the group: its keys are read first."""
+    """Read the rows of one frame in a row group without holding the group: the keys are read first."""
     keys = parquet.read_row_group(group, columns=[FRAME])[FRAME]
     rows = np.flatnonzero(np.asarray(keys.to_numpy()) == timestamp)
     if not len(rows):
@@ -105,9 +105,9 @@ def _integers(column: pa.ChunkedArray, file: Location) -> NDArray[np.int64]:
 
 
 def numbers(value: Any, size: int | None, where: str) -> NDArray[np.float64]:
-    """A list of numbers of any width as float64. size: how many; None: any number.
+    """Convert a list of numbers of any width to float64. size: required length, or None.
 
-    Raises InputError: nothing, something else, or another number of them.
+    Raises InputError: no list of numbers, or another length.
     """
     try:
         found: NDArray[np.float64] = np.asarray(value.values.to_numpy(zero_copy_only=False), np.float64)
@@ -119,9 +119,9 @@ def numbers(value: Any, size: int | None, where: str) -> NDArray[np.float64]:
 
 
 def by_key(table: pa.Table, key: str, where: str) -> Mapping[Any, dict[str, Any]]:
-    """Rows by the values of a key, each a dictionary of columns to Arrow scalars.
+    """Index rows by the values of a key; each row is a dictionary of columns to Arrow scalars.
 
-    Raises InputError: two rows of one key.
+    Raises InputError: two rows with the same key value.
     """
     found: dict[Any, dict[str, Any]] = {}
     for row in range(table.num_rows):

@@ -1,1 +1,1 @@
-"""What stands on a procedural street, and where."""
+"""Construction of a procedural street: ground, objects and their placement."""

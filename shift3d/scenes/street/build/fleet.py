@@ -1,4 +1,4 @@
-"""Whose vehicles drive and park on a street: those of the embedded family, or of the wide one."""
+"""Fleet of a street: vehicles of the embedded family or of the wide family."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 WIDE_RESOLUTION_M = 0.06
 _WITHOUT_GLASS = ("trailer", "box_van", "camper")
-"""Boxes: at the height of a car's windows they have sheet metal."""
+"""Body types with sheet metal at the height of a car's windows."""
 _FAMILY_SLOT_M = (5.7, 2.1, 1.8)
-"""As long and wide as nearly any vehicle of the embedded family, to 0.15 m; vans are up to 0.3 m higher."""
+"""Slot as long and wide as nearly all vehicles of the embedded family, to 0.15 m; vans are up to 0.3 m higher."""
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """The vehicles of a street, by the variants that items carry.
+    """Vehicles of a street, by the variant number of an item.
 
-    slot_m: floor space to keep for a vehicle, and its height, metres; no mesh is built for it. vehicle: itself.
+    slot_m: reserved floor space and height of a vehicle, metres; does not build the mesh. vehicle: the vehicle.
     """
 
     slot_m: Callable[[int], Size]
@@ -38,11 +38,10 @@ class Fleet:
 
 
 def fleet_of(traffic: str, split: str) -> Fleet:
-    """The fleet of a street's option `traffic`. Raises InputError for held-out traffic on split train.
+    """Return the fleet for a street's option `traffic`. Raises InputError for held-out traffic on split train.
 
-    family: a pool of vehicles of the embedded family, see `pool`. wide, held_out: vehicles of the wide family, each
-    variant another one; the splits share none. Held out: every second vehicle is of a kind that training never sees,
-    the others of kinds that it does.
+    family: pool of vehicles of the embedded family, see `pool`. wide, held_out: vehicles of the wide family, a
+    different one for each variant; the splits share none. held_out: every second vehicle has an unseen kind.
     """
     check_traffic(traffic, split)
     if traffic == "family":
@@ -66,7 +65,7 @@ def _wide_spec(split: str, held_out: bool, variant: int) -> WideSpec:
 
 @lru_cache(maxsize=64)
 def _wide_vehicle(split: str, held_out: bool, variant: int) -> PoolVehicle:
-    """Source: our choice. Not kept on disk: building a mesh takes some 30 ms, and hardly one is met twice."""
+    """Source: our choice. Not cached on disk: a mesh takes some 30 ms to build, and hardly any is needed twice."""
     from shift3d.vehicles.family.spec import VehicleSpec
     from shift3d.vehicles.family.wide import build_wide_mesh
 
@@ -76,7 +75,7 @@ def _wide_vehicle(split: str, held_out: bool, variant: int) -> PoolVehicle:
     size_m = np.array(spec.size_m)
     glass = (0.0, 0.0)
     if spec.body_type not in _WITHOUT_GLASS and isinstance(spec.chassis, VehicleSpec):
-        # The windows are the car's own, whatever stands on its roof: from the middle of the whole height.
+        # The windows are those of the car without its roof load, measured from the middle of the whole height.
         shift = (spec.chassis.height_m - float(size_m[2])) / 2
         low, high = glass_band_m(spec.chassis.height_m)
         glass = (low + shift, high + shift)

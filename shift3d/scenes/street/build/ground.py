@@ -1,4 +1,4 @@
-"""The ground: road with crown and curb, sidewalks, a side road, a car park, terrain, all on gentle waves."""
+"""Ground: road with crown and curb, sidewalks, a side road, a car park, terrain, all on gentle waves."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ class Wave:
 class Ground:
     """Height field around the sensor.
 
-    Road coordinates (u, v): u along the road, v to its left, v = 0 on its axis; the sensor stands at
-    (0, ego_v_m). Scene coordinates (x, y): sensor at the origin, x forward; the road heads road_heading_rad.
+    Road coordinates (u, v): u along the road, v to its left, v = 0 on its axis; the sensor is at (0, ego_v_m). Scene
+    coordinates (x, y): sensor at the origin, x forward; the road has the heading road_heading_rad.
 
     Attributes:
-        half_width_m: of the road, parking lanes included.
+        half_width_m: of the road with its parking lanes.
         sidewalk_m: width of each sidewalk.
         curb_m: height of the sidewalks above the road.
         crossing: (u, half width) of a side road at right angles, or None.
         lot: (u0, u1, v0, v1) of a paved car park, or None.
-        crown: fall of the road from axis to edge, metres a metre.
-        banks: rise of the terrain beyond the left and right sidewalk, metres a metre.
+        crown: slope of the road from axis to edge, metres a metre.
+        banks: slope of the terrain beyond the left and right sidewalk, metres a metre.
         waves: undulation.
-        mount_height_m: the height is shifted so that the ground under the sensor is at minus this.
+        mount_height_m: height of the sensor; the ground under the sensor is at minus this height.
     """
 
     road_heading_rad: float
@@ -66,7 +66,7 @@ class Ground:
         return cos * u - sin * v, sin * u + cos * v
 
     def paved(self, u: Float, v: Float, grow_m: float = 0.0) -> NDArray[np.bool_]:
-        """Whether road, side road or car park, each grown by grow_m, covers (u, v)."""
+        """True if road, side road or car park, each grown by grow_m, covers (u, v)."""
         covered: NDArray[np.bool_] = np.abs(v) <= self.half_width_m + grow_m
         if self.crossing is not None:
             covered = covered | (np.abs(u - self.crossing[0]) <= self.crossing[1] + grow_m)
@@ -76,7 +76,7 @@ class Ground:
         return covered
 
     def height(self, x: Float, y: Float) -> Float:
-        """Ground height in the scene frame at scene (x, y), any equal shapes."""
+        """Compute the ground height in the scene frame at scene (x, y), any equal shapes."""
         x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
         zero = np.zeros(())
         return self._relative(x, y) - self._relative(zero, zero) - self.mount_height_m
@@ -93,7 +93,7 @@ class Ground:
         return height
 
     def mesh(self) -> tuple[Float, NDArray[np.int32], NDArray[np.uint8]]:
-        """Triangles of the height field: vertices (V, 3) scene frame, faces (F, 3), material of each (F,)."""
+        """Triangulate the height field: vertices (V, 3) scene frame, faces (F, 3), material of each face (F,)."""
         u_edges, v_edges = self._edges()
         u, v = np.meshgrid(_grid_lines(u_edges), _grid_lines(v_edges), indexing="ij")
         x, y = self.to_scene(u, v)
@@ -111,7 +111,7 @@ class Ground:
         return vertices, faces, np.concatenate((material, material))
 
     def _edges(self) -> tuple[list[float], list[float]]:
-        """Where the ground steps, along u and along v: lines just inside and just outside each curb."""
+        """List the steps of the ground along u and v: lines just inside and just outside each curb."""
         u_edges: list[float] = []
         v_edges: list[float] = []
         for side in (-1.0, 1.0):
@@ -135,7 +135,7 @@ def _grid_lines(edges: list[float]) -> Float:
 
 
 def sample_waves(rng: np.random.Generator, strength: float) -> tuple[Wave, ...]:
-    """Hills of 60 to 160 m and bumps of 6 to 20 m; strength 1 gives amplitudes of about 0.25 m and 2 cm."""
+    """Draw hills of 60 to 160 m and bumps of 6 to 20 m; strength 1 gives amplitudes of about 0.25 m and 2 cm."""
     waves = []
     for low, high, amplitude in ((60.0, 160.0, 0.25), (60.0, 160.0, 0.2), (6.0, 20.0, 0.015), (6.0, 20.0, 0.01)):
         k = 2 * np.pi / rng.uniform(low, high)

@@ -1,4 +1,4 @@
-"""Things that stand on the street's ground, and the floor space they take."""
+"""Objects on the street's ground, and the floor plan that they occupy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from shift3d.geometry.boxes import corners_bev
 
-OWN_CAR_M = (-0.8, 0.0, 6.0, 2.4)  # x, y of its centre, length and width: the LiDAR stands ahead of its centre
+OWN_CAR_M = (-0.8, 0.0, 6.0, 2.4)  # x, y of its centre, length and width: the LiDAR is ahead of its centre
 Size = tuple[float, float, float]
 LABELLED = {"vehicle": "vehicle", "pedestrian": "pedestrian", "cyclist": "cyclist"}
 
@@ -21,11 +21,11 @@ class Item:
     """One object.
 
     Attributes:
-        kind: "vehicle", "pedestrian", "cyclist", "building", "pole", "sign", "tree", "wall", "hedge",
-            "fence", "thicket", "bush", "dumpster", "container", "cabinet", "barrier".
+        kind: "vehicle", "pedestrian", "cyclist", "building", "pole", "sign", "tree", "wall", "hedge", "fence",
+            "thicket", "bush", "dumpster", "container", "cabinet", "barrier".
         x, y: scene frame, metres; heading_rad counter-clockwise from +x.
-        size_m: length, width, height; of a vehicle, the slot reserved for it.
-        variant: picks the instance and its details.
+        size_m: length, width, height; for a vehicle the reserved slot.
+        variant: selects the instance and its details.
     """
 
     kind: str
@@ -36,15 +36,15 @@ class Item:
     variant: int = 0
 
     def to_scene(self, along: Any, across: Any) -> tuple[Any, Any]:
-        """Scene (x, y) of places ahead of the item's middle and to its left, numbers or arrays, metres."""
+        """Convert offsets ahead and to the left of the item's centre, numbers or arrays, metres, to scene (x, y)."""
         cos, sin = np.cos(self.heading_rad), np.sin(self.heading_rad)
         return self.x + cos * along - sin * across, self.y + sin * along + cos * across
 
 
 class FloorPlan:
-    """Which floor space is taken, by the rectangles of the items placed so far.
+    """Occupied floor space: the rectangles of the items placed so far.
 
-    slot_m: length, width and height kept for the vehicle of a variant, metres.
+    slot_m: length, width and height reserved for the vehicle of a variant, metres.
     """
 
     def __init__(self, slot_m: Callable[[int], Size]) -> None:
@@ -53,10 +53,7 @@ class FloorPlan:
         self._corners = np.zeros((0, 4, 2))
 
     def place(self, item: Item, margin_m: float = 0.2) -> bool:
-        """Add an item unless its floor rectangle, grown by the margin, meets another one.
-
-        Returns: Whether it was added.
-        """
+        """Add an item unless its floor rectangle, grown by the margin, overlaps another. Returns True if added."""
         length, width, height = item.size_m
         grown = np.array([[item.x, item.y, 0, length + 2 * margin_m, width + 2 * margin_m, height, item.heading_rad]])
         if _meets(corners_bev(grown)[0], self._corners).any():
@@ -67,20 +64,20 @@ class FloorPlan:
         return True
 
     def reserve(self, x: float, y: float, heading_rad: float, length_m: float, width_m: float) -> None:
-        """Keep a rectangle free of items without putting one there (the sensor's own car, a driveway)."""
+        """Reserve a rectangle without an item (the sensor's own car, a driveway)."""
         rectangle = np.array([[x, y, 0, length_m, width_m, 1, heading_rad]])
         self._corners = np.concatenate((self._corners, corners_bev(rectangle)))
 
 
 def stand_on(items: tuple[Item, ...], x: float, y: float, length_m: float, width_m: float) -> NDArray[np.bool_]:
-    """(items,) bool: whose floor rectangle meets one along the scene's axes, centred at (x, y)."""
+    """Mark the items (items,) whose floor rectangle overlaps an axis-aligned rectangle centred at scene (x, y)."""
     rectangle = corners_bev(np.array([[x, y, 0.0, length_m, width_m, 1.0, 0.0]]))[0]
     floors = np.array([[item.x, item.y, 0.0, *item.size_m, item.heading_rad] for item in items]).reshape(-1, 7)
     return _meets(rectangle, corners_bev(floors))
 
 
 def _meets(one: NDArray[np.float64], many: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Separating-axis test of a rectangle (4, 2) against rectangles (N, 4, 2)."""
+    """Test a rectangle (4, 2) against rectangles (N, 4, 2) by separating axes."""
     if not len(many):
         return np.zeros(0, dtype=np.bool_)
     apart = np.zeros(len(many), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""One street scene before anybody looks at it: the ground and the list of items on it."""
+"""Layout of one street scene: the ground and the list of items on it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shift3d.scenes.street.build.traffic import LANE_M, fill_lot, park_along_ker
 
 KINDS = ("street", "intersection", "lot", "plaza", "open")
 _KIND_SHARES = (0.35, 0.22, 0.2, 0.13, 0.1)
-NEAR_M = 75.0  # the count of vehicles is controlled within this distance
+NEAR_M = 75.0  # the number of vehicles is controlled within this distance
 LEAST_VEHICLES, MOST_VEHICLES = 10, 30
 
 
@@ -28,12 +28,11 @@ class Layout:
 
 
 def sample_layout(rng: np.random.Generator, mount_height_m: float, fleet: Fleet) -> Layout:
-    """A random scene.
+    """Draw a random layout.
 
     street: a road with kerbside parking, buildings and gardens. intersection: the same with a side road and crossing
-    traffic. lot: with a car park beside it. plaza: a car park all around. open: a country road, few things.
-    Every kind has some 12 to 32 vehicles of the fleet within 75 m, so that a detector sees all headings and distances.
-
+    traffic. lot: with a car park beside it. plaza: a car park all around. open: a country road with few objects. Every
+    kind has some 12 to 32 vehicles of the fleet within 75 m, so that a detector sees all headings and distances.
     Source: our choice; the paper uses Waymo validation scenes.
     """
     kind = str(rng.choice(KINDS, p=_KIND_SHARES))
@@ -93,14 +92,14 @@ def _sample_ground(kind: str, rng: np.random.Generator, mount_height_m: float) -
 
 
 def _sample_bank(rng: np.random.Generator) -> float:
-    """Mostly level with the road, now and then a steep embankment."""
+    """Draw a slope: mostly level with the road, sometimes a steep embankment."""
     if rng.random() < 0.12:
         return float(rng.uniform(0.1, 0.3))
     return float(np.clip(rng.normal(0.0, 0.03), -0.06, 0.1))
 
 
 def _thin_out(plan: FloorPlan, rng: np.random.Generator, target: int) -> None:
-    """Drop vehicles at random until no more than target stand within NEAR_M; their floor space stays free."""
+    """Drop vehicles at random until at most `target` remain within NEAR_M; their floor space stays reserved."""
     near = [
         index for index, item in enumerate(plan.items) if item.kind == "vehicle" and np.hypot(item.x, item.y) < NEAR_M
     ]

@@ -1,4 +1,4 @@
-"""Vehicles of the embedded family for streets: a pool of meshes a split, built once and kept on disk."""
+"""Pool of vehicle meshes of the embedded family for each split of the streets, built once and cached on disk."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from shift3d.store.user_cache import program_digest, user_cache
 _SOURCES = ("vehicles", "seeding.py", "scenes/street/build/pool.py")
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
 RESOLUTION_M = 0.07
-# Windows lie between these shares of a vehicle's height; some vehicles lose most of the returns from them.
+# Windows lie between these shares of a vehicle's height; some vehicles lose most of their windows' returns.
 GLASS_FROM, GLASS_TO = 0.62, 0.92
 
 
 @dataclass(frozen=True)
 class PoolVehicle:
-    """One vehicle ready to be cast at.
+    """One vehicle ready for ray casting.
 
     Attributes:
         body_type: as in shift3d.vehicles.family.
-        size_m: dx, dy, dz of its own axis-aligned box, in whose centre the object frame lies.
-        radius_m: of the smallest sphere about the origin that holds it.
-        intersector: of its mesh, object frame.
-        glass_band_m: heights of the object frame between which windows lie; equal where there are none.
+        size_m: dx, dy, dz of the axis-aligned box; the object frame's origin is the box's centre.
+        radius_m: radius of the smallest sphere about the origin around the vehicle.
+        intersector: of the mesh, object frame.
+        glass_band_m: lower and upper height of the windows, object frame; equal without windows.
         kind: body type and attributes of the wide family, "" for others.
     """
 
@@ -47,7 +47,7 @@ class PoolVehicle:
 
 @lru_cache(maxsize=512)
 def pool_vehicle(split: str, number: int) -> PoolVehicle:
-    """Vehicle ``number`` (modulo the size of the pool) of a split; the splits share no seed. Source: our choice."""
+    """Return vehicle ``number`` (modulo the pool size) of a split; the splits share no seed. Source: our choice."""
     number %= POOL_SIZES[split]
     vertices, faces, body_type = _cached_mesh(split, number)
     low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
@@ -59,12 +59,12 @@ def pool_vehicle(split: str, number: int) -> PoolVehicle:
 
 
 def glass_band_m(height_m: float) -> tuple[float, float]:
-    """Heights between which the windows of a car lie, from the middle of its height."""
+    """Compute the lower and upper height of a car's windows from the middle of its height."""
     return GLASS_FROM * height_m - height_m / 2, GLASS_TO * height_m - height_m / 2
 
 
 def _stretch(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Factors of length, width and height beside what the family varies: some towns have smaller cars than others."""
+    """Draw factors of length, width and height beside the family's variation: some towns have smaller cars."""
     small = rng.uniform()
     length = 1.05 - 0.22 * small + rng.uniform(-0.02, 0.02)
     width = 1.02 - 0.14 * small + rng.uniform(-0.02, 0.02)
@@ -80,18 +80,18 @@ def _build(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int
 
 
 def _cached_mesh(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int32], str]:
-    """The mesh from the user's cache folder, built and kept there when it is new."""
+    """Load the mesh from the user's cache folder, or build and cache it."""
     path = cache_folder() / f"{split}-{number:03d}.npz"
     try:
         with np.load(path, allow_pickle=False) as stored:
             return stored["vertices"], stored["faces"], str(stored["body_type"])
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         vertices, faces, body_type = _build(split, number)
-        with contextlib.suppress(InputError, OSError):  # a cache that cannot be written is done without
+        with contextlib.suppress(InputError, OSError):  # works without a cache if the folder is not writable
             write_arrays(path, vertices=vertices, faces=faces, body_type=np.array(body_type))
         return vertices, faces, body_type
 
 
 def cache_folder() -> Path:
-    """Where pool meshes are kept: XDG_CACHE_HOME/shift3d, keyed by the code and the libraries that shape them."""
+    """Return the folder of pool meshes in XDG_CACHE_HOME/shift3d, keyed by the code and libraries that shape them."""
     return user_cache() / f"street-pool-{RESOLUTION_M}-{program_digest(*_SOURCES)[:16]}"

@@ -1,4 +1,4 @@
-"""What lines the street: buildings, walls, trees, poles, people, and things a detector may take for cars."""
+"""Roadside objects: buildings, walls, trees, poles, people, and objects that a detector may take for cars."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _EDGE_SHARES = {
 
 
 def furnish_roadside(plan: FloorPlan, ground: Ground, kind: str, rng: np.random.Generator) -> None:
-    """Add everything but vehicles."""
+    """Add all objects except vehicles."""
     for side in (1.0, -1.0):
         _line_edge(plan, ground, kind, rng, side)
         _line_backdrop(plan, ground, rng, side)
@@ -37,7 +37,7 @@ def furnish_roadside(plan: FloorPlan, ground: Ground, kind: str, rng: np.random.
 
 
 def _line_edge(plan: FloorPlan, ground: Ground, kind: str, rng: np.random.Generator, side: float) -> None:
-    """Facades, walls, hedges, fences and gaps one after the other along one side."""
+    """Line one side with facades, walls, hedges, fences and gaps."""
     base = ground.half_width_m + ground.sidewalk_m
     if kind == "plaza" and ground.lot is not None:
         base = (ground.lot[3] if side > 0 else -ground.lot[2]) + 1.0
@@ -60,7 +60,7 @@ def _line_edge(plan: FloorPlan, ground: Ground, kind: str, rng: np.random.Genera
 
 
 def _line_backdrop(plan: FloorPlan, ground: Ground, rng: np.random.Generator, side: float) -> None:
-    """A second line of houses and woods behind the first where there is room: few views end in the sky."""
+    """Add a second line of houses and woods behind the first if there is room: few views end in the sky."""
     base = ground.half_width_m + ground.sidewalk_m + rng.uniform(14.0, 32.0)
     if ground.lot is not None:
         reach = ground.lot[3] if side > 0 else -ground.lot[2]
@@ -102,7 +102,7 @@ def _tree_at(plan: FloorPlan, ground: Ground, u: float, v: float, rng: np.random
 
 
 def _size(kind: str, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Length, width and height of one thing to sprinkle."""
+    """Draw length, width and height of one scattered object."""
     low, high = {
         "pole": ((0.15, 0.15, 4.0), (0.3, 0.3, 9.0)),
         "tree": ((0.2, 0.2, 3.5), (0.5, 0.5, 9.0)),
@@ -129,7 +129,7 @@ def _sprinkle(
     distances_m: tuple[float, float],
     off_road: bool = False,
 ) -> None:
-    """Put count things at random places; what finds no room in a few tries is left out."""
+    """Scatter `count` objects at random places; an object that finds no room in a few tries is left out."""
     for _ in range(count):
         size, heading = _size(kind, rng), rng.uniform(-np.pi, np.pi)
         for _attempt in range(8):
@@ -151,13 +151,13 @@ def _add(
     size_m: tuple[float, float, float],
     rng: np.random.Generator,
 ) -> bool:
-    """Place one item given in road coordinates; never lines of walls on the side road or the car park."""
+    """Place one item given in road coordinates; refuses fixed objects on the side road or the car park."""
     variant = int(rng.integers(_VARIANTS))
     if kind in ("building", "wall", "hedge", "fence", "thicket", "tree", "pole", "sign"):
         ends = u + np.linspace(-0.5, 0.5, 9) * size_m[0]
         inner = np.abs(v) - size_m[1] / 2
         if kind in ("tree", "pole") and ground.lot is not None and ground.lot[0] < -39.0:
-            inner = np.abs(v)  # lamps and trees may stand in a plaza, which is paved all over
+            inner = np.abs(v)  # lamps and trees are allowed in a plaza, which is paved all over
         elif bool(ground.paved(ends, np.full(9, np.sign(v) * inner)).any()):
             return False
     x, y = ground.to_scene(np.asarray(u), np.asarray(v))

@@ -1,4 +1,4 @@
-"""What each kind of item looks like: solid parts, and foliage that beams enter."""
+"""Geometry of each kind of item: solid parts, and foliage that beams enter."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Leaves:
-    """An ellipsoid of leaves in the item's frame (origin on the ground), and a beam's mean free path in it."""
+    """Ellipsoid of leaves in the item's frame (origin on the ground), with a beam's mean free path in the leaves."""
 
     centre: NDArray[np.float64]
     radii: NDArray[np.float64]
@@ -97,7 +97,6 @@ def _bush(item: Item, rng: Rng) -> Looks:
 
 
 def _thicket(item: Item, rng: Rng) -> Looks:
-    """Bushes and low crowns side by side, some tall, with gaps."""
     length, width, height = item.size_m
     leaves = []
     for _ in range(int(np.clip(length / 1.6, 3, 16))):
@@ -129,7 +128,7 @@ def _barrier(item: Item, rng: Rng) -> Looks:
 
 
 def _person(height: float, rng: Rng, lean_m: float = 0.0, z: float = 0.0) -> list[Part]:
-    """Legs, torso, arms and head about the origin, facing +x."""
+    """Build legs, torso, arms and head about the origin, facing +x."""
     s = height / 1.75
     stride = rng.uniform(0.0, 0.3) * s
     top = (lean_m, 0.0, z + 1.42 * s)

@@ -1,4 +1,4 @@
-"""Where vehicles stand and drive: lanes, kerbs, car parks, and here and there."""
+"""Placement of vehicles: lanes, kerbs, car parks, and random places."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _VARIANTS = 1 << 20
 def add_vehicle(
     plan: FloorPlan, ground: Ground, rng: np.random.Generator, u: float, v: float, heading_road_rad: float
 ) -> bool:
-    """Put a vehicle at road (u, v) with a heading relative to the road; False where there is no room.
+    """Place a vehicle at road (u, v) with a heading relative to the road. Returns False if there is no room.
 
-    Nor is one put across a step of more than MOST_STEP_M, where a cutting or an embankment begins.
+    Refuses steps of more than MOST_STEP_M under the vehicle, at the edge of a cutting or an embankment.
     """
     x, y = ground.to_scene(np.asarray(u), np.asarray(v))
     heading = heading_road_rad + ground.road_heading_rad
@@ -30,7 +30,7 @@ def add_vehicle(
 
 
 def vehicles_in_lanes(plan: FloorPlan, ground: Ground, rng: np.random.Generator, mean_gap_m: float) -> None:
-    """Traffic on the road, right-hand, and on the side road where there is one."""
+    """Place right-hand traffic on the road, and on the side road if there is one."""
     parking = (ground.half_width_m % LANE_M) if ground.half_width_m > LANE_M else 0.0
     lanes = max(round((ground.half_width_m - parking) / LANE_M), 1)
     for lane in range(lanes):
@@ -61,7 +61,7 @@ def _queue(
 
 
 def park_along_kerb(plan: FloorPlan, ground: Ground, rng: np.random.Generator) -> None:
-    """Parked vehicles on each side: none, in line with the kerb, or at an angle to it."""
+    """Park vehicles on each side: none, in line with the kerb, or at an angle to it."""
     for side in (1.0, -1.0):
         style = rng.choice(("none", "line", "angle"), p=(0.25, 0.5, 0.25))
         if style == "none":
@@ -80,7 +80,7 @@ def park_along_kerb(plan: FloorPlan, ground: Ground, rng: np.random.Generator) -
 
 
 def fill_lot(plan: FloorPlan, ground: Ground, rng: np.random.Generator, occupancy: float) -> None:
-    """Rows of slots across the car park, the rows at any angle to the road, vehicles nose in or out."""
+    """Fill rows of slots across the car park, the rows at any angle to the road, vehicles nose in or out."""
     if ground.lot is None:
         return
     u0, u1, v0, v1 = ground.lot
@@ -104,7 +104,7 @@ def fill_lot(plan: FloorPlan, ground: Ground, rng: np.random.Generator, occupanc
 
 
 def scatter_vehicles(plan: FloorPlan, ground: Ground, rng: np.random.Generator, count: int) -> None:
-    """Vehicles at any heading in driveways, yards and fields, 7 to 55 m away."""
+    """Place vehicles at any heading in driveways, yards and fields, 7 to 55 m away."""
     left = count
     for _ in range(60 * max(count, 0)):
         if left <= 0:

@@ -1,4 +1,4 @@
-"""Everything of one street that beams can meet, and casting beams at it."""
+"""World of one street: all geometry that beams can hit, and ray casting against it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from shift3d.seeding import generator
 
 @dataclass(frozen=True)
 class PlacedVehicle:
-    """A vehicle of the fleet on its four wheels: its item number, and the pose of its object frame in the scene."""
+    """Vehicle of the fleet on its four wheels: item number, and pose of the object frame in the scene."""
 
     number: int
     vehicle: PoolVehicle
@@ -33,10 +33,10 @@ class PlacedVehicle:
 
 @dataclass(frozen=True)
 class World:
-    """What stands on the street, scene frame.
+    """Geometry of the street, scene frame.
 
     Attributes:
-        mesh: the ground and every solid thing but vehicles; material and item: (F,) of its faces.
+        mesh: the ground and all solid objects except vehicles; material and item: (F,) of the mesh's faces.
         vehicles: in the order of their item numbers. foliage: (item number, leaves).
         boxes: (7,) of every labelled item, by item number.
     """
@@ -50,7 +50,7 @@ class World:
 
     @staticmethod
     def of(layout: Layout, fleet: Fleet, driven_m: float = 0.0) -> World:
-        """The world of a layout. What stands where the own car drives during the turn is left out."""
+        """Build the world of a layout, without the items in the path of the own car during the turn."""
         solid: list[tuple[int, Part]] = []
         foliage: list[tuple[int, Leaves]] = []
         boxes: dict[int, Float] = {}
@@ -79,13 +79,13 @@ class World:
         return World(intersector, mesh.material, mesh.item, tuple(vehicles), tuple(foliage), boxes)
 
     def cast(self, sweep: Sweep, rng: np.random.Generator) -> None:
-        """First hits of every beam of a sweep."""
+        """Cast every beam of a sweep at the world and enter its first hit."""
         sweep.cast_static(self.mesh, self.material, self.item)
         for number, centre, radius_m, hit in self._things(rng):
             sweep.cast_near(centre, radius_m, hit, number)
 
     def _things(self, rng: np.random.Generator) -> Iterator[tuple[int, Float, float, Hit]]:
-        """Vehicles, then leaves: item number, centre and radius of a sphere that holds it, and how it is hit."""
+        """Yield vehicles, then leaves: item number, centre and radius of a bounding sphere, first-hit function."""
         for placed in self.vehicles:
             vehicle, pose = placed.vehicle, (placed.scene_R_object, placed.position)
             on_mesh = functools.partial(hit_instance, vehicle.intersector, *pose, vehicle.glass_band_m)
@@ -97,10 +97,10 @@ class World:
     def hits_from(
         self, sensor: Sensor, starts: Float, directions: Float, from_m: Float, rng: np.random.Generator
     ) -> Hits:
-        """First hits of single beams beyond a range.
+        """Compute first hits of single beams beyond a range.
 
         Args:
-            starts, directions: (N, 3) float64, scene frame. from_m: (N,) range from which on they are looked for.
+            starts, directions: (N, 3) float64, scene frame. from_m: (N,) range at which the search starts.
 
         Returns: Hits of shape (N,), ranges from the starts.
         """
@@ -117,7 +117,7 @@ class World:
 
 
 def _near(starts: Float, directions: Float, centre: Float, radius_m: float) -> NDArray[np.intp]:
-    """Which rays pass a sphere ahead of them."""
+    """Find the rays that pass a sphere ahead of their start."""
     offset = centre - starts
     along = np.einsum("ij,ij->i", offset, directions)
     apart = np.einsum("ij,ij->i", offset, offset) - np.maximum(along, 0.0) ** 2
@@ -125,7 +125,7 @@ def _near(starts: Float, directions: Float, centre: Float, radius_m: float) -> N
 
 
 def _in_the_way(layout: Layout, driven_m: float) -> NDArray[np.bool_]:
-    """(items,) bool: which stand on the floor that the own car drives over, driven_m ahead of it."""
+    """Mark the items (items,) on the floor that the own car covers while it drives driven_m ahead."""
     if not driven_m:
         return np.zeros(len(layout.items), dtype=np.bool_)
     x, y, length_m, width_m = OWN_CAR_M
@@ -159,14 +159,14 @@ def _placed_leaves(leaf: Leaves, item: Item, z: float) -> Leaves:
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     x, y, up = leaf.centre
     centre = np.array([*item.to_scene(x, y), z + up])
-    # The blob keeps its reach along the scene's axes but not its tilt: nobody can tell.
+    # The ellipsoid keeps its extent along the scene's axes but not its rotation, which makes no visible difference.
     along = np.hypot(leaf.radii[0] * cos, leaf.radii[1] * sin)
     across = np.hypot(leaf.radii[0] * sin, leaf.radii[1] * cos)
     return Leaves(centre, np.array([along, across, leaf.radii[2]]), leaf.free_path_m)
 
 
 def _lowest_ground(ground: Ground, item: Item) -> float:
-    """Lowest ground under an item's corners, so that nothing floats."""
+    """Compute the lowest ground under an item's corners and centre, so that nothing floats."""
     along = np.array([0.5, 0.5, -0.5, -0.5, 0.0]) * item.size_m[0]
     across = np.array([0.5, -0.5, 0.5, -0.5, 0.0]) * item.size_m[1]
     return float(ground.height(*item.to_scene(along, across)).min())
