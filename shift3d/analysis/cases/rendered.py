@@ -34,8 +34,8 @@ _FACES = 5000
 class Rendered:
     """Object rendered again, with its detection.
 
-    mesh: object frame, metres. theta: (6,) pose. scene_xy: (P, 2) thinned scene points around the place; object_xy: (Q,
-    2) points of the object; sensor frame, metres. object_points: number of object points. box: (7,) ground truth,
+    mesh: object frame, metres. theta: (6,) pose. scene_xy: (P, 2) thinned scene points around the place; object_xy:
+    (Q, 2) points of the object; sensor frame, metres. object_points: number of object points. box: (7,) ground truth,
     found: (7,) best box within the detection radius or None; x, y in the sensor frame. score: of that box, 0 without
     one.
     """
