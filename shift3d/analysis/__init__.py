@@ -1,1 +1,1 @@
-"""What a reader sees of a sweep."""
+"""Evaluation of sweeps, detectors and suites: tables, figures, HTML pages and MLflow runs."""

@@ -1,4 +1,4 @@
-"""A detector's evaluation as a folder: detections and truth, every metric, curves, a table and a picture."""
+"""Evaluation of a detector, written to a folder: detections, ground truth, metrics, curves, tables and a figure."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _CODE = (
 
 
 def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
-    """Waymo's precision-recall curves, 0-75 m: bird's-eye view and 3D, both levels, both IoU thresholds."""
+    """Draw Waymo's precision-recall curves, 0-75 m: bird's-eye view and 3D, both levels, both IoU thresholds."""
     figure = Figure(figsize=(8, 3.8), dpi=110, layout="constrained")
     axes = dict(zip(("BEV", "3D"), figure.subplots(1, 2, sharey=True)))
     colours, widths = {"LEVEL_1": "#c03030", "LEVEL_2": "#4878a8"}, {"LEVEL_1": 3.0, "LEVEL_2": 1.0}
@@ -61,7 +61,7 @@ def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
             metric.curve.precision,
             color=colours[metric.subset],
             linestyle="-" if metric.iou_threshold == 0.7 else ":",
-            linewidth=widths[metric.subset],  # where both levels are alike, both show
+            linewidth=widths[metric.subset],  # two widths: both lines show where the levels coincide
             label=label,
         )
     for view, panel in axes.items():
@@ -73,7 +73,7 @@ def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
 
 
 def dataset_of(scenes: StreetConfig | KittiConfig) -> str:
-    """Name of the evaluated scenes in the tables and in the folder's name."""
+    """Return the name of the evaluated scenes, as used in the tables and in the folder's name."""
     if isinstance(scenes, KittiConfig):
         return "kitti"
     traffic = f"-{scenes.traffic}" if scenes.traffic != "family" else ""
@@ -81,7 +81,7 @@ def dataset_of(scenes: StreetConfig | KittiConfig) -> str:
 
 
 def _identity(scenes: StreetConfig | KittiConfig) -> dict[str, object]:
-    """What decides which scene lies behind a name."""
+    """Return the settings that decide which scene a scene name refers to."""
     if isinstance(scenes, KittiConfig):
         return {"root": str(Path(scenes.root).expanduser().resolve())}
     traffic = {"traffic": scenes.traffic} if scenes.traffic != "family" else {}
@@ -98,19 +98,19 @@ def evaluate_detector(
     workers: int = 1,
     score_threshold: float = SCORE_FLOOR,
 ) -> str:
-    """Detect in every scene once, write the folder ``out``, and return what is printed.
+    """Detect in every scene, write the folder ``out``, and return the text to print.
 
     ``out`` gets spec.json, detections.parquet, truth.parquet, vehicles.parquet, metrics.parquet, breakdown.parquet,
-    curves.parquet, curves.png, the same bytes whatever the number of workers, and timings.parquet, which differs from
-    run to run. ``out``/scenes holds the answer for each scene: the same call again detects only where one is missing,
-    or a frame's files or the program have changed since.
+    curves.parquet and curves.png, whose bytes do not depend on the number of workers, and timings.parquet, which
+    differs from run to run. ``out``/scenes holds the answer for each scene. A repeated call detects only in scenes
+    whose answer is missing, or whose source files or program code have changed since.
 
     Args:
-        name: a detector, with its shipped weights or those of the file ``weights``, which may be an ONNX file.
+        name: detector; it uses its shipped weights or those of the file ``weights``, which may be an ONNX file.
         module: Python file of the user's own detector.
-        layout: of a detector of another codebase, see `detectors.foreign.layout`.
-        workers: processes, one thread each.
-        score_threshold: detections below it are not kept.
+        layout: layout of a detector of another codebase, see `detectors.foreign.layout`.
+        workers: number of processes, with one thread each.
+        score_threshold: detections with a lower score are dropped.
 
     Raises: InputError: unknown detector, missing weights or scenes, weights that were fine-tuned on one of the scenes,
     another evaluation in ``out``, a full disk.
@@ -119,7 +119,7 @@ def evaluate_detector(
     if file is None and name in DETECTOR_NAMES:
         file = WEIGHTS_FOLDER / f"{name}.safetensors"
     opened: Callable[[], Detector] = partial(detector_of, name, file, module, "float32", layout)
-    opened()  # what is wrong with it is said before anything is computed
+    opened()  # a faulty detector raises before anything is computed
     spec: dict[str, object] = {
         "schema_version": EVALUATION_SCHEMA_VERSION,
         "shift3d": shift3d.__version__,
@@ -134,7 +134,7 @@ def evaluate_detector(
     open_scenes = partial(scene_set, scenes)
     opened_scenes = open_scenes()
     scene_names = opened_scenes.names()
-    if file and name not in (OWN, ONNX):  # what lies beside these is the user's
+    if file and name not in (OWN, ONNX):  # files beside own and ONNX weights belong to the user
         refuse_tuned_scenes(file, [(opened_scenes.dataset, scene, "") for scene in scene_names])
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, open_scenes, workers, score_threshold)
@@ -145,13 +145,13 @@ def evaluate_detector(
 
 
 def _state(scenes: SceneSet, name: str) -> str:
-    """A digest of what makes a scene and its answer: a recorded frame's files, and the program."""
+    """Return a digest of a recorded frame's files and of the program; a stored answer is valid for one digest."""
     text = json.dumps([program_digest(*_CODE), *scenes.source(name)])
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out: Path) -> str:
-    """Compute every metric of the answers, write tables and picture to ``out``, and return what is printed.
+    """Compute every metric of the answers, write tables and figure to ``out``, and return the text to print.
 
     Raises: InputError: the disk is full or not writable.
     """
@@ -171,7 +171,7 @@ def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out
 
 
 def _claim(file: Path, spec: dict[str, object]) -> None:
-    """Write what is evaluated, or refuse a folder that holds the evaluation of something else."""
+    """Write the spec of the evaluation, or refuse a folder that holds another evaluation."""
     content = json.dumps(spec, indent=1).encode() + b"\n"
     if file.exists() and file.read_bytes() != content:
         raise InputError("holds another evaluation", str(file.parent), "Give another out=, or remove the folder")

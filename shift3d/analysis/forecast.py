@@ -1,4 +1,4 @@
-"""What a plan will take, before anything runs: by what an earlier sweep took, else by the figures that ship.
+"""Estimate of a plan's run time before anything runs, from the times of an earlier sweep or else from shipped times.
 
 Source: our choice.
 """
@@ -28,17 +28,18 @@ from shift3d.sweep.planning.tasks import Tasks
 from shift3d.task.spec import TaskSpec
 from shift3d.wording import counted, duration
 
+# Shipped times of the parts of a task; written by ``docs/scripts/shipped.py``.
 SHIPPED = Path(__file__).resolve().parent / "measured" / "task_parts.json"
-"""Written by ``docs/scripts/shipped.py``."""
 
 
 @dataclass(frozen=True)
 class TaskParts:
-    """Milliseconds of one worker with one thread, means over the tasks of some sweeps.
+    """Milliseconds of the parts of a task with one worker and one thread, as means over the tasks of some sweeps.
 
-    source: which sweeps. accuracy: their preset. By mode: once_ms of a task (placement, audits, the mesh), step_ms of a
-    search's step without the detector, scored_ms of an object that is rendered to be scored. By detector: descent_ms
-    of a step, its forward and backward pass; score_ms of an object. placement_ms: of finding a place for a vehicle.
+    source: description of these sweeps. accuracy: their preset. By mode: once_ms of a task (placement, audits, mesh),
+    step_ms of a search step without the detector, scored_ms of an object that is rendered to be scored. By detector:
+    descent_ms of a step (forward and backward pass), score_ms of an object. placement_ms: finding a place for a
+    vehicle.
     """
 
     source: str
@@ -51,22 +52,19 @@ class TaskParts:
     placement_ms: float
 
     def of(self, spec: TaskSpec) -> float:
-        """Milliseconds of one task at this accuracy, without effects.
-
-        Modes and detectors that were not measured count as the slowest.
-        """
+        """Return the milliseconds of one task without effects; unmeasured modes and detectors count as the slowest."""
         steps, objects = searched(spec)
         each_step = _or_slowest(self.step_ms, spec.mode) + _or_slowest(self.descent_ms, spec.detector)
         scored_ms = _or_slowest(self.scored_ms, spec.mode)
         each_object = scored_ms + sum(_or_slowest(self.score_ms, name) for name in spec.scored_by)
-        # In another scene a place is found, and the shape and its baseline are scored there.
+        # In each transfer scene a place is found; the shape and its baseline are scored there, except in search scenes.
         judging = max(len(spec.transfer_scenes) - spec.attack.search_scenes, 0)
         others = len(spec.transfer_scenes) * self.placement_ms + judging * 2 * each_object
         return _or_slowest(self.once_ms, spec.mode) + steps * each_step + objects * each_object + others
 
 
 def searched(spec: TaskSpec) -> tuple[int, int]:
-    """Renderings of a task's search, and of the objects that it scores."""
+    """Count the renderings of a task's search, and the objects that the task scores."""
     attack = spec.attack
     noise = attack.noise_replicates if spec.mode != "pose" else 0
     beside = int(bool(attack.edit) and spec.mode != "pose") + attack.random_search
@@ -80,14 +78,14 @@ def _or_slowest(measured: dict[str, float], name: str) -> float:
 
 
 def shipped_parts() -> TaskParts:
-    """The figures that ship."""
+    """Load the shipped times."""
     return TaskParts(**json.loads(SHIPPED.read_text(encoding="utf-8")))
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Seconds of one worker for all tasks together. source: where they come from. guessed: how many of the tasks have
-    other settings than anything that was measured there. longest_s: of the task that takes longest."""
+    """Seconds that one worker needs for all tasks together. source: origin of the estimate. guessed: number of tasks
+    whose settings differ from every task measured there. longest_s: seconds of the slowest task."""
 
     seconds: float
     source: str
@@ -96,10 +94,7 @@ class Expected:
 
 
 def _named_in(tasks: Tasks, folders: Sequence[LocationLike], what: Literal["done", "quarantined"]) -> np.ndarray:
-    """Of each task whether the log of one of some sweeps' folders says that of it.
-
-    Raises: InputError: a log cannot be read.
-    """
+    """Mask (N,) bool of tasks that any folder's log names as done or quarantined. Raises InputError: unreadable log."""
     named = {task for folder in folders for entry in read_log(folder) for task in getattr(entry, what)}
     found = np.ones(len(tasks), dtype=bool)
     found[tasks.without(named)] = False
@@ -107,9 +102,9 @@ def _named_in(tasks: Tasks, folders: Sequence[LocationLike], what: Literal["done
 
 
 def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
-    """What tasks will take one worker.
+    """Estimate the time that one worker needs for the tasks.
 
-    Args: folders: of sweeps, finished or not; the first one that has run something says how long a task takes.
+    Args: folders: sweep folders, finished or not; the first one with finished tasks provides the times.
 
     Raises: InputError: a folder is no sweep's, or damaged.
     """
@@ -128,7 +123,7 @@ def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
 
 
 def limit_line(longest_s: float, runner: RunnerConfig) -> str:
-    """Where a task is expected to take more than half of its time limit: a line that says so; empty otherwise."""
+    """Return a warning if a task is expected to take more than half of its time limit, else an empty text."""
     limit_s = runner.task_timeout_s if isinstance(runner, RayRunnerConfig) else None
     if limit_s is None or longest_s <= limit_s / 2:
         return ""
@@ -140,21 +135,20 @@ def limit_line(longest_s: float, runner: RunnerConfig) -> str:
 
 
 def _kinds(tasks: Tasks) -> list[tuple[TaskSpec, int]]:
-    """One task of each kind, and how many there are."""
     first, kind = tasks.kinds()
     counts = np.bincount(kind, minlength=len(first))
     return [(tasks[at].spec, count) for at, count in zip(first.tolist(), counts.tolist(), strict=True)]
 
 
 def _keys(spec: TaskSpec) -> list[Hashable]:
-    """What tasks must have in common to take equally long, from all of it to nothing."""
+    """Return the keys under which a task's time is pooled, from all settings that affect the time down to none."""
     same = (spec.mode, spec.detector, spec.accuracy)
     return [(*same, spec.scored_by, spec.attack, len(spec.transfer_scenes), spec.effects), same, (spec.mode,), ()]
 
 
 @dataclass
 class _Spent:
-    """What tasks of one kind took: seconds of all their attempts, and what the figures that ship say of them."""
+    """Time of the tasks of one key: seconds of all their attempts, and seconds that the shipped times predict."""
 
     tasks: int = 0
     seconds: float = 0.0
@@ -162,10 +156,7 @@ class _Spent:
 
 
 def _measured(folder: LocationLike, model: _Model) -> dict[Hashable, _Spent]:
-    """What each kind of task took in a sweep; nothing where it has finished none.
-
-    Scenes without a place for the vehicle count for nothing: their tasks end before the search.
-    """
+    """Sum the time of each key's finished tasks, without tasks that had no place and ended before the search."""
     log, tasks = read_log(folder), read_plan(folder).tasks
     attempts, scores = committed_rows(folder, log, "attempts"), committed_rows(folder, log, "scores")
     at = pc.index_in(attempts["task_id"], value_set=tasks.ids).fill_null(len(tasks)).to_numpy()
@@ -188,7 +179,7 @@ def _measured(folder: LocationLike, model: _Model) -> dict[Hashable, _Spent]:
 
 
 class _Model:
-    """What a task takes by its parts, each as measured; longer by its effects and its accuracy preset."""
+    """Predicted time of a task: the sum of its measured parts, plus the cost of its effects and accuracy preset."""
 
     def __init__(self) -> None:
         self._parts = shipped_parts()
@@ -198,7 +189,6 @@ class _Model:
         self.source = f"the figures that ship: {self._parts.source}; presets by {whose}"
 
     def seconds(self, spec: TaskSpec) -> float:
-        """Of one worker with one thread."""
         more_ms = sum(max(self._impact[name].milliseconds, 0.0) for name in spec.effects if name in self._impact)
         if {spec.accuracy, self._parts.accuracy} <= self._rendering_ms.keys():
             more_ms += self._rendering_ms[spec.accuracy] - self._rendering_ms[self._parts.accuracy]
@@ -213,12 +203,12 @@ def expected_lines(
     timings: Sequence[LocationLike],
     runner: RunnerConfig,
 ) -> str:
-    """What is left to run of a plan, in words: time with the workers of a runner, core-hours, and a time limit too low.
+    """Describe a plan's remaining run: time with the runner's workers, core-hours, and a time limit that is too low.
 
-    Args: out: the folder that the sweep would write to, where it is known; others: those whose results it would take
-    over; timings: those that say how long tasks take, asked before these.
+    Args: out: folder that the sweep would write to, if known. others: folders whose results the sweep would take over.
+    timings: folders that provide task times; they take precedence over `out` and `others`.
 
-    Raises: InputError: a folder of others or timings is no sweep's, or damaged.
+    Raises: InputError: a folder of `others` or `timings` is no sweep's, or damaged.
     """
     own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
     done = _named_in(plan.tasks, [*own, *others], "done")

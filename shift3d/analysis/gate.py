@@ -1,4 +1,4 @@
-"""The gate: a suite's objects scored by new weights, compared with the last release's scores, as a folder."""
+"""Gate: new weights score the objects of a suite and are compared with the last release; results go to a folder."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _SCORING = ("detectors", "geometry", "processor.py", "attack/objective.py", "tas
 
 @dataclass(frozen=True)
 class GateSettings:
-    """rule: when weights are worse. workers: processes.
-    against: number of the release to compare with, None: the last of other weights. accept: whether the scores become
-    the next release: "true" where nothing got worse, "anyway" whatever was found. name: tells the detector from others
-    of its kind, see `suite.releases.last_release`."""
+    """Settings of a gate. rule: decides whether weights are worse. workers: number of processes. against: number of the
+    release to compare with; None: the last release of other weights. accept: "true" makes the scores the next release
+    if nothing got worse, "anyway" in any case. name: tells the detector from others of its kind, see
+    `suite.releases.last_release`."""
 
     rule: Rule = field(default_factory=Rule)
     workers: int = 1
@@ -45,8 +45,7 @@ class GateSettings:
 
 @dataclass(frozen=True)
 class Outcome:
-    """exit_code: of the command. text: what is printed. compared: there was a release to compare with, and files say
-    what came of it."""
+    """Result of a gate. exit_code: of the command. text: to print. compared: a comparison was made and written."""
 
     exit_code: ExitCode
     text: str
@@ -54,9 +53,11 @@ class Outcome:
 
 
 def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Location, settings: GateSettings) -> Outcome:
-    """Score, compare, and write ``out``: gate.parquet (a row an object, worst first), verdict.json, gate.html, and the
-    answers, so that a killed gate goes on where it stopped; what another program scored is scored again. The same call
-    gives the same bytes, whatever the workers.
+    """Score the suite, compare with a release, and write the results to ``out``.
+
+    ``out`` gets gate.parquet (one row per object, worst first), verdict.json, gate.html and the answers, so that a
+    killed gate resumes. Answers of another program version are computed again. The same call writes the same bytes,
+    whatever the number of workers.
 
     Raises: InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
     folder, a damaged suite.
@@ -86,7 +87,7 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
         return Outcome(ExitCode.DONE, text, compared=False)
     found = compare(suite.objects, last.scores, after, settings.rule)
     texts = _write(out, suite, scorer, found, last, settings)
-    # What was accepted passes as long as it is the last: a pipeline runs again without new weights.
+    # The newest accepted release passes: a pipeline may run again without new weights.
     passes = not found.worse or (again is not None and settings.against is None)
     if settings.accept == "anyway" or (settings.accept == "true" and not found.worse):
         texts.append(f"accepted as release {accept_release(suite, releases, detector, scorer.digest, after)}")
@@ -100,7 +101,7 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
 def _write(
     out: Location, suite: FrozenSuite, scorer: Scorer, found: Comparison, last: Release, settings: GateSettings
 ) -> list[str]:
-    """Write table, verdict and page; what is printed of them."""
+    """Write table, verdict and page. Return the texts to print."""
     sentence, caution = found.sentence(last.name), _caution(suite, last, scorer)
     (out / "gate.parquet").write_atomic(suite_table_bytes(suite_table("gate", found.rows.to_dict("records"))))
     facts = _facts(suite, scorer, last, settings)
@@ -116,7 +117,7 @@ def _write(
 
 
 def _check(suite: FrozenSuite, scorer: Scorer, rule: Rule) -> None:
-    """Refuse what can give no verdict, before anything is scored."""
+    """Refuse a suite or detector that cannot give a verdict, before anything is scored."""
     scenes = places_of(suite.objects).nunique()
     if least_p_value(scenes) > rule.level:
         what = f"has objects of {counted(scenes, 'scene')}: no loss would be significant at level={rule.level:g}"
@@ -127,12 +128,12 @@ def _check(suite: FrozenSuite, scorer: Scorer, rule: Rule) -> None:
 
 
 def _detector(scorer: Scorer, settings: GateSettings) -> str:
-    """Whose releases it is compared with, see `suite.releases.last_release`."""
+    """Return the detector's name in the list of releases, see `suite.releases.last_release`."""
     return f"{scorer.name}:{settings.name}" if settings.name else scorer.name
 
 
 def _claim(out: Location, suite: FrozenSuite, scorer: Scorer) -> None:
-    """Write whose answers the folder holds, or refuse one that holds others."""
+    """Write the owner of the answers to the folder, or refuse a folder with other answers."""
     held = {"suite": suite.digest, "detector": scorer.name, "weights": scorer.digest}
     content = (json.dumps(held, indent=1, sort_keys=True) + "\n").encode()
     if (out / "spec.json").is_file() and (out / "spec.json").read_bytes() != content:
@@ -173,7 +174,7 @@ def _verdict(found: Comparison, sentence: str, facts: Mapping[str, str]) -> byte
         {
             **{name: getattr(measure, name) for name in ("role", "name", "before", "after", "p_value")},
             "change": measure.change.mean,
-            # None: one scene alone has no interval.
+            # None: a single scene has no finite interval.
             "interval": [v if abs(v) < float("inf") else None for v in (measure.change.low, measure.change.high)],
         }
         for measure in found.measures

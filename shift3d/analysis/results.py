@@ -1,4 +1,4 @@
-"""A finished sweep as tables, figures and pages read it."""
+"""Finished sweep, as tables, figures and pages read it."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
+# Tables that folders of older versions do not have.
 _LATER = (
     "trajectories", "transfers", "bev_transfer", "choices", "shapes", "vehicle_pool", "retrieved", "patterns",
 )  # fmt: skip
-"""Tables that folders of older versions do not have."""
+# Pose of a row's vehicle at placement; equal bit for bit under any effects and beams.
 PLACE = ["baseline_x_m", "baseline_y_m", "baseline_yaw_rad"]
-"""Where a row's vehicle was placed: the same to the bit under any effects and beams."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep's plan and tables.
+    """Plan and tables of a sweep.
 
-    environment: what ran it (``env.json``). The others: tables of ``final/``; verification is None where the sweep was
-    not verified; trajectories, transfers, bev_transfer, choices, shapes, vehicle_pool, retrieved and
-    patterns are empty where it has none.
+    environment: content of ``env.json``, which records the program and machine. The other attributes are tables of
+    ``final/``. verification is None if the sweep was not verified. trajectories, transfers, bev_transfer, choices,
+    shapes, vehicle_pool, retrieved and patterns are empty if the sweep has none.
     """
 
     plan: Plan
@@ -57,10 +57,7 @@ class Sweep:
 
     @property
     def scored(self) -> pd.DataFrame:
-        """Rows that have a score, with the effects that were asked for (a row for each), and `place`, see `places_of`.
-
-        natural: whether the task's adversarial shape is; None where that was not measured.
-        """
+        """Rows with a score, one per requested effects setting, with `place` and `natural` (None if not measured)."""
         rows = self.scores[self.scores["score"].notna()]
         rows = rows.assign(effects=self.plan.tasks.effects_requested_of(rows["task_id"])).explode("effects")
         natural = rows["task_id"].map(self.verdicts).astype(object)
@@ -68,7 +65,7 @@ class Sweep:
 
     @cached_property
     def verdicts(self) -> dict[str, bool]:
-        """Whether the adversarial shape is natural, by task; those where that was measured."""
+        """Naturalness of the adversarial shape by task, for the tasks where it was measured."""
         return natural_by_task(self.scores)
 
     @property
@@ -77,21 +74,21 @@ class Sweep:
         return {task for task, natural in self.verdicts.items() if not natural}
 
     def pair_of(self, task_id: str) -> list[pd.Series]:
-        """Rows of ``solutions`` of a task that has them: its baseline and its adversarial object."""
+        """Return a task's rows of ``solutions``: baseline and adversarial object. The task must have solutions."""
         rows = self.solutions[(self.solutions["task_id"] == task_id) & (self.solutions["replicate"] == 0)]
         return [rows[rows["method"] == method].iloc[0] for method in ("baseline", "adversarial")]
 
     def vehicle_words(self, task_id: str) -> str:
-        """ "sedan", or "sedan to camper" where the search ended at another kind; of a task that has solutions."""
+        """Return "sedan", or "sedan to camper" if the search ended at another kind. The task must have solutions."""
         before, after = self.pair_of(task_id)
         kinds = [before["vehicle"], after["drawn_as"]]
         return " to ".join(str(kind).replace("_", " ") for kind in kinds if pd.notna(kind))
 
 
 def places_of(rows: pd.DataFrame, dataset: str = "dataset", scene: str = "scene") -> pd.Series:
-    """Of each row the place that its scene shows, which intervals redraw whole; see `scenes.sets.place_of`.
+    """Return the place that each row's scene shows, the unit that intervals resample; see `scenes.sets.place_of`.
 
-    dataset, scene: the columns' names.
+    dataset, scene: names of the columns.
     """
     pairs = list(zip(rows[dataset], rows[scene]))
     known = {pair: place_of(*pair) for pair in dict.fromkeys(pairs)}
@@ -99,7 +96,7 @@ def places_of(rows: pd.DataFrame, dataset: str = "dataset", scene: str = "scene"
 
 
 def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
-    """Whether the adversarial shape is natural, by task that searches a shape; none where it was not measured."""
+    """Return the naturalness of the adversarial shape by task, for tasks that search a shape and were measured."""
     if "natural" not in scores:
         return {}
     found = scores[(scores["method"] == "adversarial") & (scores["mode"] != "pose") & scores["natural"].notna()]
@@ -107,24 +104,21 @@ def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
 
 
 def with_places(scores: pd.DataFrame) -> pd.DataFrame:
-    """Rows of ``scores`` with `PLACE`, that of their task's baseline, NaN without one."""
+    """Return rows of ``scores`` with the columns `PLACE` of their task's baseline, NaN without a baseline."""
     base = scores[scores["method"] == "baseline"].drop_duplicates("task_id").set_index("task_id")
     places = {name: scores["task_id"].map(base[name.removeprefix("baseline_")]) for name in PLACE}
     return scores.assign(**places)
 
 
 def sweep_of(plan: Plan, tables: Mapping[str, pd.DataFrame], environment: Mapping[str, Any]) -> Sweep:
-    """A sweep from the tables of ``final/`` that it has."""
+    """Build a sweep from its tables of ``final/``."""
     later = {name: tables[name] if name in tables else SCHEMAS[name].empty_table().to_pandas() for name in _LATER}
     own = {name: tables[name] for name in _TABLES}
     return Sweep(plan, environment, **own, **later, verification=tables.get("verification"))
 
 
 def read_sweep(folder: LocationLike) -> Sweep:
-    """The sweep of an output folder.
-
-    Raises: InputError: naming the folder or file, where it is no sweep's, has not finished, or is damaged.
-    """
+    """Read the sweep of an output folder. Raises InputError: names what is no sweep's, unfinished or damaged."""
     folder = as_location(folder)
     plan, final = read_plan(folder), folder / "final"
     later = [name for name in (*_LATER, "verification") if (final / f"{name}.parquet").is_file()]

@@ -1,1 +1,1 @@
-"""Single solutions: chosen, rendered again."""
+"""Single solutions, selected and rendered again for pages."""

@@ -1,4 +1,4 @@
-"""Which solutions a page shows: the hardest, and others drawn at random."""
+"""Selection of the solutions that a page shows: the hardest, and a random sample."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ import pandas as pd
 
 from shift3d.seeding import generator
 
-_LEAST_FALL = 0.01
-"""Of a score that fell; less is a case for nobody (our choice)."""
+_LEAST_FALL = 0.01  # Least fall of the score for a hard case (our choice).
 
 
 @dataclass(frozen=True)
 class Case:
-    """A task and its scores before the attacked detector. before, after: of the baseline and of what was found."""
+    """Task with the attacked detector's scores. before: of the baseline. after: of the adversarial object."""
 
     task_id: str
     vehicle: str
@@ -26,12 +25,12 @@ class Case:
 
     @property
     def fall(self) -> float:
-        """How far the score fell."""
+        """Decrease of the score."""
         return self.before - self.after
 
 
 def falls(scores: pd.DataFrame) -> list[Case]:
-    """Every task with both scores, in the plan's order. scores: of ``final/``."""
+    """Return a case for every task with both scores, in the plan's order. scores: the table of ``final/``."""
     rows = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
     table = rows.pivot_table(index="task_id", columns="method", values="score")
     if not {"baseline", "adversarial"} <= set(table.columns):
@@ -45,15 +44,15 @@ def falls(scores: pd.DataFrame) -> list[Case]:
 
 
 def hardest(scores: pd.DataFrame, count: int = 4, unnatural: Collection[str] = ()) -> list[Case]:
-    """The tasks whose score fell furthest, by 0.01 or more, other vehicles and scenes first.
+    """Select the tasks whose score fell furthest, by 0.01 or more, preferring new vehicles and scenes.
 
-    Of equal falls the first in the plan's order. unnatural: tasks that are chosen only where there are not `count`
-    others, and stand last.
+    Of equal falls the first in the plan's order is taken. unnatural: tasks that are taken only if there are fewer than
+    `count` others, and are listed last.
     """
     left = sorted((case for case in falls(scores) if case.fall >= _LEAST_FALL), key=lambda case: -case.fall)
     chosen: list[Case] = []
     while left and len(chosen) < count:
-        # Of those that repeat least, the first is the one that fell furthest.
+        # min() returns the first of the least repetitive cases, which is the one that fell furthest.
         best = min(left, key=lambda case: (case.task_id in unnatural, _repeats(case, chosen)))
         chosen.append(best)
         left.remove(best)
@@ -66,9 +65,6 @@ def _repeats(case: Case, chosen: list[Case]) -> int:
 
 
 def random_positions(tasks: int, count: int, seed: str) -> list[int]:
-    """Positions of some of so many tasks, every one as likely as any other, whatever became of it.
-
-    Ascending; the same seed gives the same ones. All of them where there are not more than `count`.
-    """
+    """Draw ascending positions of tasks uniformly by seed, whatever their outcome; all if not more than `count`."""
     drawn = generator("gallery", seed).choice(tasks, size=min(count, tasks), replace=False)
     return sorted(int(position) for position in drawn)

@@ -1,4 +1,4 @@
-"""A suite's object as a picture shows it: from above and from the side, with the box that a detector finds."""
+"""Object of a suite for pictures: points from above and from the side, with the detector's box."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _SIDE_M = 3.0
 
 @dataclass(frozen=True)
 class FrozenView:
-    """scene_xy, object_xy: (P, 2), (Q, 2) points from above, scene frame. scene_side, object_side: along the heading
-    from the object's centre, and above the ground; those of the scene within 3 m of the object's axis. box: (7,)
-    ground truth, found: (7,) the best box within the detection radius, None without one; network frame. Metres."""
+    """Points and boxes of a suite's object, metres. scene_xy, object_xy: (P, 2), (Q, 2) points from above, scene frame.
+    scene_side, object_side: (distance along the heading from the object's centre, height above ground); scene points
+    within 3 m of the object's axis. box: (7,) ground truth, found: (7,) best box within the detection radius or None;
+    network frame."""
 
     scene_xy: FloatArray
     object_xy: FloatArray
@@ -35,7 +36,7 @@ class FrozenView:
 
 
 def view_of(suite: FrozenSuite, row: Mapping[str, Any], scorer: Scorer) -> FrozenView:
-    """Look at an object, by its row of the suite. Raises: InputError as `FrozenSuite.background`."""
+    """Detect and view an object, given its row of the suite. Raises: InputError as `FrozenSuite.background`."""
     points, box = suite.points_of(row, suite.background(row["background"])), box_of(row)
     detectors = {scorer.name: scorer.at(row["precision"])}
     proposals = boxes_around(torch.from_numpy(points), box, row["ground_z_m"], detectors)[scorer.name]

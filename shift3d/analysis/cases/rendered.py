@@ -1,4 +1,4 @@
-"""Solutions rendered again, as the sweep rendered them."""
+"""Solutions rendered again exactly as in the sweep."""
 
 from __future__ import annotations
 
@@ -25,20 +25,19 @@ from shift3d.vehicles.mesh_measures import Measures, measure_mesh
 from shift3d.vehicles.vehicle import vehicle_mesh
 
 FloatArray = NDArray[np.float64]
-VIEW_M = 10.0
-"""Half side of the view from above, metres."""
+VIEW_M = 10.0  # Half side of the view from above, metres.
 _THIN_M, _MOST_POINTS = 0.12, 2500
 _FACES = 5000
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """An object rendered again, and what the detector makes of it.
+    """Object rendered again, with its detection.
 
-    mesh: object frame, metres, as measured. theta: (6,) pose. scene_xy: (P, 2) thinned points around the place that
-    are not the object's; object_xy: (Q, 2) its own; sensor frame, metres. object_points: before any thinning. box: (7,)
-    ground truth, found: (7,) the best box within the detection radius, None without one; x, y of the sensor frame.
-    score: of that box, 0 without one.
+    mesh: object frame, metres. theta: (6,) pose. scene_xy: (P, 2) thinned scene points around the place; object_xy:
+    (Q, 2) points of the object; sensor frame, metres. object_points: number of object points. box: (7,) ground truth,
+    found: (7,) best box within the detection radius or None; x, y in the sensor frame. score: of that box, 0 without
+    one.
     """
 
     mesh: trimesh.Trimesh
@@ -52,26 +51,27 @@ class Rendered:
 
     @cached_property
     def measures(self) -> Measures:
-        """Of its mesh."""
+        """Measures of the mesh."""
         return measure_mesh(self.mesh)
 
 
 @dataclass
 class Loaded:
-    """What the objects of one page share. meshes: by vehicle, code and resolution: a fine mesh takes seconds."""
+    """Shared data of one page's objects. Meshes are cached by vehicle, code and resolution: a fine one takes
+    seconds."""
 
     plan: Plan
     _assets: dict[int, Assets] = field(default_factory=dict)
     _meshes: dict[tuple[str, bytes, int], trimesh.Trimesh] = field(default_factory=dict)
 
     def assets(self, task: PlannedTask) -> Assets:
-        """Raises InputError for what cannot be loaded, or is not what was planned with."""
+        """Return the assets of a task. Raises InputError: assets cannot be loaded, or differ from the planned ones."""
         if task.assets not in self._assets:
             self._assets[task.assets] = load_assets(self.plan.assets[task.assets])
         return self._assets[task.assets]
 
     def mesh(self, task: PlannedTask, solution: Mapping[str, Any], resolution: int = 128) -> trimesh.Trimesh:
-        """The mesh of a solution, object frame, metres. Raises InputError for a code without a surface."""
+        """Return the mesh of a solution, object frame, metres. Raises InputError: the code has no surface."""
         assets, code = self.assets(task), np.array(solution["latent_code"], dtype=np.float32)
         vehicle = assets.drawn_vehicle(task.spec, solution)
         key = (vehicle.name, code.tobytes(), resolution)
@@ -84,7 +84,7 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
     """Render a row of ``solutions.parquet`` as the sweep did, effects included.
 
     centre_xy: (2,) middle of the view.
-    Raises: InputError for what cannot be loaded, or is not what was planned with, and for a code without a surface.
+    Raises: InputError: assets cannot be loaded or differ from the planned ones, or the code has no surface.
     """
     again = render_solution(task.spec, solution, loaded.assets(task))
     problem, theta, rendering = again.problem, again.theta, again.rendering
@@ -106,7 +106,7 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
 
 
 def best_box(proposals: Proposals, box: FloatArray, radius_m: float) -> tuple[FloatArray | None, float]:
-    """The box (7,) that gives the object at ``box`` its score, and the score; None and 0 without one."""
+    """Return the box (7,) that gives the object at ``box`` its score, and the score; None and 0 without a box."""
     detections = detections_near(proposals, box, radius_m)
     near = np.flatnonzero(np.hypot(*(detections.boxes[:, :2] - box[:2]).T) < radius_m)
     if not len(near):
@@ -115,7 +115,7 @@ def best_box(proposals: Proposals, box: FloatArray, radius_m: float) -> tuple[Fl
 
 
 def thinned(points: FloatArray, centre_xy: FloatArray) -> FloatArray:
-    """Points (N, 2) within the view, at most one a small cell and some thousands in all; the same ones every time."""
+    """Thin points (N, 2) to the view, at most one per 12 cm cell and 2,500 in all, deterministically."""
     points = points[(np.abs(points - centre_xy) < VIEW_M).all(axis=1)]
     _, kept = np.unique(np.floor(points / _THIN_M).astype(np.int64), axis=0, return_index=True)
     kept = np.sort(kept)
@@ -123,7 +123,7 @@ def thinned(points: FloatArray, centre_xy: FloatArray) -> FloatArray:
 
 
 def simplified(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Vertices (V, 3) and triangles (F, 3) of a mesh, few enough for a page; a small mesh as it is."""
+    """Reduce a mesh to about 5,000 triangles for a page. Returns vertices (V, 3) and triangles (F, 3)."""
     vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
     if len(faces) > _FACES:
         vertices, faces = fast_simplification.simplify(vertices, faces, target_count=_FACES)
@@ -131,9 +131,9 @@ def simplified(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.i
 
 
 def oriented(vertices: NDArray[np.floating[Any]], theta: FloatArray, yaw_rad: float = 0.0) -> FloatArray:
-    """Vertices (V, 3) of the object frame as they stand in the scene, tilt and heading included, around the object.
+    """Rotate vertices (V, 3) from the object frame to the scene's orientation, around the object's origin.
 
-    theta: (6,) pose. yaw_rad: by how much they are turned back.
+    theta: (6,) pose. yaw_rad: angle by which the vertices are rotated back.
     """
     pose = torch.from_numpy(np.array(theta, dtype=np.float64))
     pose[:3], pose[3] = 0.0, pose[3] - yaw_rad

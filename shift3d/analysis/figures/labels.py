@@ -1,4 +1,4 @@
-"""Labels of points in a diagram, put where they cover neither one another nor what is drawn."""
+"""Placement of point labels in a diagram, without overlaps."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from matplotlib.axes import Axes
 
 FloatArray = npt.NDArray[np.float64]
 
-LABEL, LEADER = "point label", "leader of a label"
-"""The gid of every label that was placed, and of the line from its point to it."""
+LABEL, LEADER = "point label", "leader of a label"  # gid of every placed label, and of its leader line.
 
 
 @dataclass(frozen=True)
 class PointLabel:
-    """A text for the point (x, y) in data coordinates. strong: drawn bold, and placed before the others. colour: of
-    the text."""
+    """Text for the point (x, y) in data coordinates. strong: bold, and placed first. colour: of the text."""
 
     text: str
     x: float
@@ -29,12 +27,12 @@ class PointLabel:
 
 
 def place_labels(axes: Axes, labels: Sequence[PointLabel], markers: FloatArray, lines: Sequence[FloatArray]) -> None:
-    """Write labels beside their points so that they overlap neither one another nor, where that can be had, markers
-    and lines; a label that lies farther off has a leader. The figure's layout must be final.
+    """Place labels beside their points without overlaps between labels and, if possible, with markers and lines.
+
+    A distant label gets a leader line. The figure's layout must be final.
 
     Args:
         axes: with its limits set.
-        labels: what to write.
         markers: (M, 2) in data coordinates.
         lines: (N, 2) each, in data coordinates.
     """

@@ -1,4 +1,4 @@
-"""Pictures as PNG, the same bytes for the same picture; and the colours of methods."""
+"""Deterministic PNG output, and the colours of methods."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from numpy.typing import NDArray
 
+# By method; contrast of at least 3:1 against light and dark backgrounds, distinguishable with colour blindness.
 COLOURS = {
     "baseline": "#7d7d7d",
     "random": "#2f8fc9",
@@ -17,18 +18,17 @@ COLOURS = {
     "adversarial_noise": "#b97a00",
     "adversarial": "#d55e00",
 }
-"""By method; each at least 3:1 against the light and the dark ground, told apart by who does not see all colours."""
 
 
 def png(figure: Figure) -> bytes:
-    """A matplotlib figure."""
+    """Encode a matplotlib figure as PNG."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png", metadata={"Software": ""})
     return picture.getvalue()
 
 
 def pixels_png(pixels: NDArray[np.uint8]) -> bytes:
-    """Pixels (H, W, 3)."""
+    """Encode pixels (H, W, 3) as PNG."""
     picture = io.BytesIO()
     imsave(picture, pixels, format="png", metadata={"Software": ""})
     return picture.getvalue()

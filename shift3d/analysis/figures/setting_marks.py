@@ -1,4 +1,4 @@
-"""What stands for settings in a work-precision diagram: a colour a method, markers, rings, lines and labels."""
+"""Marks of settings in a work-precision diagram: a colour per method, markers, rings, lines and labels."""
 
 from __future__ import annotations
 
@@ -17,21 +17,20 @@ from shift3d.analysis.figures.labels import PointLabel
 
 FloatArray = npt.NDArray[np.float64]
 
-# Kelly's colours of maximum contrast without his yellows and greys, which are lost on white. Each method has a marker
-# of its own as well, so that nobody needs colours to tell methods apart.
+# Kelly's colours of maximum contrast without his yellows and greys, which are invisible on white. Each method also has
+# its own marker, so that colour vision is not needed.
 _COLOURS = (
     *("#0067A5", "#F38400", "#008856", "#BE0032", "#604E97", "#8DB600", "#E68FAC", "#882D17", "#A1CAF1"),
     *("#F6A600", "#B3446C", "#2B3D26", "#F99379", "#875692", "#C2B280", "#E25822", "#654522"),
 )
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "p", "d", "H", "8")
-_SIZE, _STAR, _RING = 6.0, 13.0, 4.5  # points: of a marker, of a preset's, and by how much each ring is wider
-RING = "ring"
-"""The gid of a ring around a marker: a setting that renders the same as what is drawn within."""
+_SIZE, _STAR, _RING = 6.0, 13.0, 4.5  # points: marker, preset marker, and increment per ring
+RING = "ring"  # gid of a ring around a marker; the ring is a setting that renders the same as the marker inside.
 
 
 @dataclass(frozen=True)
 class Style:
-    """Of a method."""
+    """Colour and marker of a method."""
 
     colour: str
     marker: str
@@ -41,14 +40,14 @@ _PRESETS = Style("#000000", "*")
 
 
 def styles_of(frame: pd.DataFrame) -> dict[str, Style]:
-    """By method, in the frame's order: a colour and a marker of its own; presets are black stars."""
+    """Assign a colour and a marker to each method in the frame's order; presets are black stars."""
     presets = set(frame.loc[frame["preset"].notna(), "method"])
     others = map(Style, itertools.cycle(_COLOURS), itertools.cycle(_MARKERS))
     return {name: _PRESETS if name in presets else next(others) for name in dict.fromkeys(frame["method"])}
 
 
 def joined(rows: pd.DataFrame) -> list[Any]:
-    """Row numbers of what one line joins: a method's settings by their knob; what has no knob stands alone."""
+    """Return the row numbers of each line: a method's settings ordered by their knob, or one setting without a knob."""
     lines: list[Any] = []
     knobs, methods = rows["knob"].to_numpy(dtype=np.float64), rows["method"].to_numpy()
     for method in dict.fromkeys(methods):
@@ -60,7 +59,7 @@ def joined(rows: pd.DataFrame) -> list[Any]:
 
 
 def mark_settings(axes: Axes, rows: pd.DataFrame, x: FloatArray, styles: dict[str, Style]) -> None:
-    """A marker a setting, presets first; where there is one already, a ring around it, one a method."""
+    """Draw one marker per setting, presets first; at an occupied position one ring per further method."""
     front = rows["pareto"].to_numpy(dtype=bool)
     there: dict[tuple[float, float], list[str]] = {}
     for row in np.argsort(rows["preset"].isna().to_numpy(), kind="stable"):
@@ -79,7 +78,7 @@ def mark_settings(axes: Axes, rows: pd.DataFrame, x: FloatArray, styles: dict[st
 
 
 def same_as_presets(frame: pd.DataFrame) -> list[str]:
-    """Methods whose every setting has a preset's time and error: they render the same, as those of the detector do."""
+    """Return the methods whose every setting has a preset's time and error, such as detector methods."""
     places = list(zip(frame["scenes"], frame["ms_median"], effective_error_m(frame)))
     presets = {place for place, preset in zip(places, frame["preset"].notna()) if preset}
     others = {str(method) for method, place in zip(frame["method"], places) if place not in presets}
@@ -88,9 +87,9 @@ def same_as_presets(frame: pd.DataFrame) -> list[str]:
 
 
 def labels_of(rows: pd.DataFrame, x: FloatArray, styles: dict[str, Style]) -> list[PointLabel]:
-    """Presets by name, and what is on the front in its method's colour: by the value of its knob, or else by name.
+    """Create labels: presets by name; front settings in their method's colour, by knob value or else by name.
 
-    Of settings in one place, as those that render the same are, one names all.
+    Settings at one position, such as those that render the same, share one label.
     """
     found: list[PointLabel] = []
     for row in np.argsort(rows["preset"].isna().to_numpy(), kind="stable"):
@@ -103,6 +102,6 @@ def labels_of(rows: pd.DataFrame, x: FloatArray, styles: dict[str, Style]) -> li
 
 
 def _dark(colour: str) -> str:
-    """A colour in which text can be read on white."""
+    """Darken a colour so that text in it is readable on white."""
     red, green, blue = to_rgb(colour)
     return to_hex((0.7 * red, 0.7 * green, 0.7 * blue))

@@ -1,4 +1,4 @@
-"""Diagrams of a sweep: how far effects move the score, and how scores and margins stand when they are scored again."""
+"""Diagrams of a sweep: impact of effects on the score, and scores and margins after verification."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MEANING = {True: "auto takes it: its interval reaches the line", False: "auto l
 
 
 def effects_figure(impacts: Mapping[str, MeasuredImpact]) -> Figure:
-    """Change of the baseline's score against milliseconds; auto leaves out effects whose bar lies below the line."""
+    """Plot the change of the baseline's score against milliseconds; auto omits effects whose bar is below the line."""
     figure = Figure(figsize=(7.2, 4.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     labels, bars = list[PointLabel](), list[FloatArray]()
@@ -35,7 +35,7 @@ def effects_figure(impacts: Mapping[str, MeasuredImpact]) -> Figure:
     axes.set_xlabel(f"milliseconds a rendering, more (less than {_LEAST_MS:g} drawn there)")
     axes.set_ylabel(f"mean |change of score| (less than {_LEAST:g} drawn there)")
     axes.grid(True, which="major", color="#e4e4e4", lw=0.6)
-    axes.set_xlim(_LEAST_MS / 2)  # room for the labels of what takes no time
+    axes.set_xlim(_LEAST_MS / 2)  # room for labels of effects that take no time
     handles = {text: handle for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     figure.draw_without_rendering()
@@ -48,7 +48,7 @@ _MARKERS = {"adversarial_noise": "x", "random": "s", "random_budget": "^", "edit
 
 
 def stability_figure(verification: pd.DataFrame) -> Figure:
-    """Scores against those of the reference, and margins against the least margin of the draws."""
+    """Plot scores against those of the reference, and margins against the least margin of the draws."""
     figure = Figure(figsize=(11, 4.6), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2)
     for method, label in METHODS.items():

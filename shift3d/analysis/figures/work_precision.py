@@ -1,4 +1,4 @@
-"""The work-precision diagram of a frontier, as SciMLBenchmarks draw solvers of differential equations."""
+"""Work-precision diagram of a frontier, as SciMLBenchmarks draw solvers of differential equations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Panel:
-    """An error to draw the time against. name_of: its tick labels. least: where no positive value says how small."""
+    """Error axis of a panel. name_of: formats its tick labels. least: smallest error if no value is positive."""
 
     title: str
     values: Callable[[Any], FloatArray]
@@ -41,17 +41,18 @@ _PANELS = (
 
 
 def work_precision_figure(frame: pd.DataFrame, scenes: str | None = None) -> Figure:
-    """Time of a rendering against its error, both logarithmic; lower left is better.
+    """Plot the time of a rendering against its error, both logarithmic; lower left is better.
 
-    A line with markers is a method swept over its knob, bars are the quartiles of the time. Each method has a colour.
-    Settings that are dominated are hollow; presets and the other settings on the front are named. Settings in one
-    place, as those that render the same are, are rings around the first of them; a method that does nothing but render
-    as presets do is named in the legend alone. To the left the effective error, to the right the share of hits that
-    are missed or on a wrong surface. An error of zero has a place of its own, left of the dashed line.
+    Left: effective error. Right: share of hits that are missed or on a wrong surface. A line with markers is a method
+    swept over its knob; bars are the quartiles of the time. Each method has a colour. Dominated settings are hollow;
+    presets and other settings on the front are named. Settings at one position, such as those that render the same, are
+    rings around the first one. A method that renders exactly as presets do is only named in the legend. An error of
+    zero is placed left of the dashed line.
 
     Args:
         frame: the frontier's table.
-        scenes: one set; None: all of the frame, a row of panels each, and one more for what is ready for a gradient.
+        scenes: one set; None: all sets of the frame, with a row of panels each, and one more for settings with
+            gradient.
 
     Returns: A figure whose layout is final, with an Agg canvas.
 
@@ -71,7 +72,7 @@ def work_precision_figure(frame: pd.DataFrame, scenes: str | None = None) -> Fig
         _label_times(pair, rows, title)
     _legend(figure, drawn, styles, same)
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # labels are placed between what has its place now
+    figure.set_layout_engine("none")  # labels are placed in the final layout
     for (_, rows), pair in zip(groups, axes):
         for panel, part in zip(_PANELS, pair):
             _place_labels(part, rows, drawable(panel.values(rows), panel.least), styles)
@@ -79,10 +80,7 @@ def work_precision_figure(frame: pd.DataFrame, scenes: str | None = None) -> Fig
 
 
 def _groups(rows: pd.DataFrame, name: str) -> list[tuple[str, pd.DataFrame]]:
-    """A scene set's settings by what is timed, with a title each: renderings, and those ready for a gradient.
-
-    Raises: ValueError: there is none.
-    """
+    """Split settings into renderings without and with gradient, titled. Raises ValueError: there are no settings."""
     if rows.empty:
         raise ValueError(f"no setting was measured on the scenes {name!r}")
     ready = rows["gradient"].isin(["shape", "pose"])
@@ -112,7 +110,7 @@ def _draw(axes: Axes, rows: pd.DataFrame, panel: _Panel, styles: dict[str, Style
 
 
 def _mark_errors(axes: Axes, values: FloatArray, panel: _Panel) -> None:
-    """Limits and ticks of the horizontal axis: decades, and zero where there is one."""
+    """Set limits and ticks of the horizontal axis: decades, and zero if there is a zero."""
     axes.xaxis.set_minor_locator(NullLocator())
     positive = values[values > 0]
     if not len(positive):
@@ -131,10 +129,10 @@ def _mark_errors(axes: Axes, values: FloatArray, panel: _Panel) -> None:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers on a logarithmic axis, at most about eight: 1, 2, 5 of each decade, decades, or some of them."""
+    """Choose about eight round ticks at most: 1, 2, 5 of each decade, every decade, or every nth decade."""
     decades = math.log10(high / low)
     every = max(1, math.ceil(decades / 7))
-    # Counted from one metre, one per cent or one millisecond, so that the ticks that are left are the roundest.
+    # Decades are counted from 1 (1 m, 100 % or 1 ms), so that the remaining ticks are the roundest.
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
     parts = (1, 2, 5) if decades < 1.8 else (1,)
     ticks = [part * 10.0**decade for decade in range(first, last + 1) if decade % every == 0 for part in parts]
@@ -142,7 +140,7 @@ def _ticks(low: float, high: float) -> list[float]:
 
 
 def _label_times(pair: Sequence[Axes], rows: pd.DataFrame, name: str) -> None:
-    """The shared vertical axis: milliseconds to the left of the pair, the ratio to paper to its right."""
+    """Label the shared vertical axis: milliseconds on the left of the pair, the ratio to paper on its right."""
     left, right = pair
     low, high = float(rows["ms_low"].min()) / 2, float(rows["ms_high"].max()) * 2
     left.set_ylim(low, high)
@@ -159,8 +157,6 @@ def _label_times(pair: Sequence[Axes], rows: pd.DataFrame, name: str) -> None:
 
 
 def _label_ratios(right: Axes, paper_ms: float, low: float, high: float) -> None:
-    """A second vertical axis: how many times as fast as paper, where that was measured."""
-
     def other(value: Any) -> Any:
         return paper_ms / np.maximum(value, 1e-300)
 
@@ -195,7 +191,7 @@ def _legend(figure: Figure, frame: pd.DataFrame, styles: dict[str, Style], same:
 
 
 def _swept(rows: pd.DataFrame) -> str:
-    """ " (step 0.4 to 0.0125 m)" for knobs named step_m."""
+    """Format the range of a knob: " (step 0.4 to 0.0125 m)" for knobs named step_m."""
     if rows.empty:
         return ""
     name, _, unit = str(rows["knob_name"].iloc[0]).rpartition("_")

@@ -1,1 +1,1 @@
-"""The report of a sweep: one page that needs nothing but itself, one section a file."""
+"""HTML report of a sweep: one self-contained page, with one module per section."""

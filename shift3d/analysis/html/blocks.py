@@ -1,4 +1,4 @@
-"""What a page is made of: plain data, which ``templates/blocks.html`` makes HTML of."""
+"""Building blocks of a page: plain data that ``templates/blocks.html`` renders to HTML."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from shift3d.analysis.tables.table import Table
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A paragraph. kind: a CSS class."""
+    """Paragraph. kind: a CSS class."""
 
     text: str
     kind: str = ""
 
 
 def missing(text: str) -> Paragraph:
-    """A paragraph on what there is not."""
+    """Return a paragraph about missing content."""
     return Paragraph(text, "missing")
 
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading within a section."""
+    """Heading within a section."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Items:
-    """A list."""
+    """Bulleted list."""
 
     texts: Sequence[str]
 
 
 @dataclass(frozen=True)
 class Terms:
-    """Terms and what they mean."""
+    """Definition list: terms and their meanings."""
 
     meanings: Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command to copy, after a few words."""
+    """Command to copy, after an introduction."""
 
     lead: str
     command: str
@@ -53,7 +53,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Fold:
-    """What is shown when it is asked for."""
+    """Collapsible block: only its summary is initially visible."""
 
     summary: str
     blocks: Sequence[Block]
@@ -61,7 +61,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Panels:
-    """Blocks side by side where there is room. kind: "wide", "tiles" or nothing."""
+    """Blocks side by side, if there is room. kind: "wide", "tiles" or empty."""
 
     blocks: Sequence[Block]
     kind: str = ""
@@ -69,7 +69,7 @@ class Panels:
 
 @dataclass(frozen=True)
 class Article:
-    """Blocks with a heading and a border of their own. key: unique in the page."""
+    """Blocks with their own heading and border. key: unique in the page."""
 
     key: str
     title: str
@@ -78,7 +78,7 @@ class Article:
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG inside the page; nothing where there is none. alt: what it shows, for who cannot see it."""
+    """PNG embedded in the page. png: None shows `alt` instead. alt: description for readers who cannot see it."""
 
     png: bytes | None
     alt: str
@@ -86,13 +86,13 @@ class Picture:
 
     @property
     def address(self) -> str:
-        """The picture as an address that needs no network."""
+        """Data URI of the picture, which needs no network."""
         return f"data:image/png;base64,{base64.b64encode(self.png or b'').decode()}"
 
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure that the page's script draws, see `figure.plot`. data: JSON that is safe within a script element."""
+    """Figure that the page's script draws, see `figure.plot`. data: JSON that is safe within a script element."""
 
     key: str
     data: str
@@ -104,19 +104,19 @@ class Plot:
 
 @dataclass(frozen=True)
 class TurnButtons:
-    """Buttons that turn a 3D view, and its pair with it, without a mouse. key: of the `Plot`. name: of the views."""
+    """Buttons that rotate a 3D view and its pair without a mouse. key: of the `Plot`. name: of the views."""
 
     key: str
     name: str
 
 
+# The template renders each type by its name.
 Block = Paragraph | Heading | Items | Terms | Command | Fold | Panels | Article | Picture | Plot | TurnButtons | Table
-"""Each has a part of the template by its name."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page. key: its id, for links."""
+    """Section of the page. key: its id, for links."""
 
     key: str
     title: str
@@ -124,6 +124,6 @@ class Section:
 
 
 def folded(parts: Sequence[tuple[str, Sequence[Block]]], shown: int) -> list[Block]:
-    """Parts by their summary, the first ``shown`` in sight and the others folded."""
+    """Show the first ``shown`` parts and fold the others under their summaries."""
     blocks: list[Block] = [block for _, part in parts[:shown] for block in part]
     return [*blocks, *(Fold(summary, part) for summary, part in parts[shown:])]

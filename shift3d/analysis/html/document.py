@@ -1,4 +1,4 @@
-"""A page that needs nothing but itself, from its sections."""
+"""Self-contained HTML page, rendered from its sections."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ _TEMPLATES.filters["kind"] = lambda block: type(block).__name__
 
 
 def document(title: str, sections: Sequence[Section], lead: str = "", library: str = "") -> str:
-    """The whole page; every text is escaped.
+    """Render the whole page; every text is escaped.
 
-    title, lead: plain text. library: JavaScript that draws the plots, put into the page once; a page without plots
-    needs none and has no script at all.
+    title, lead: plain text. library: JavaScript that draws the plots, embedded once; without it the page has no script.
     """
     page = _TEMPLATES.get_template("page.html")
     return page.render(title=title, lead=lead, sections=sections, library=library) + "\n"

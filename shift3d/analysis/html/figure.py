@@ -1,4 +1,4 @@
-"""Figures that the page's script draws, made by plotly."""
+"""Figures made with plotly, which the page's script draws."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _COMMON = {
 
 
 def plotly_library() -> str:
-    """Plotly's JavaScript, to be put into the page."""
+    """Return plotly's JavaScript, to be embedded in the page."""
     return str(get_plotlyjs())
 
 
@@ -46,59 +46,59 @@ def plot(
     height_px: int = 320,
     pair: str = "",
 ) -> Plot:
-    """A figure of the page.
+    """Create a figure of the page.
 
     Args:
-        key: unique in the page; its id is ``plot-<key>``.
-        traces, layout: as plotly has them; checked by it.
-        label: what the figure shows, for who cannot see it. caption: above it.
-        pair: key of the 3D view that turns with this one.
+        key: unique in the page; the element's id is ``plot-<key>``.
+        traces, layout: in plotly's format; plotly checks them.
+        label: description for readers who cannot see the figure. caption: shown above it.
+        pair: key of the 3D view that rotates with this one.
 
     Raises: ValueError: a trace or layout that plotly does not know.
     """
     figure = go.Figure(data=list(traces), layout={**_COMMON, **layout})
-    # The engine is named: another one, where it is installed, would write other bytes.
+    # A fixed engine: another installed engine would write other bytes.
     data = plotly.io.to_json(figure, engine="json").replace("</", "<\\/")
     return Plot(key, data, label, caption, height_px, pair)
 
 
 def axis(title: str, **settings: Any) -> dict[str, Any]:
-    """An axis whose lines show on light and dark."""
+    """Create an axis whose lines are visible on light and dark backgrounds."""
     lines = {"gridcolor": _GRID, "zerolinecolor": _GRID, "linecolor": _GRID}
     return {"title": {"text": title}, "automargin": True, **lines, **settings}
 
 
 def filled(colour: str, opacity: float = 0.18) -> str:
-    """A colour #rrggbb as rgba."""
+    """Convert a colour #rrggbb to rgba."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},{opacity:g})"
 
 
 def short(values: Any) -> Any:
-    """Numbers to four decimals, in as few bytes as a page needs."""
+    """Round numbers to four decimals and convert them to float32, to save bytes of the page."""
     return np.round(np.asarray(values, dtype=np.float64), 4).astype(np.float32)
 
 
 def line(x: Any, y: Any, name: str, style: Mapping[str, Any], **more: Any) -> dict[str, Any]:
-    """A curve that says its name and value where it is pointed at."""
+    """Create a curve that shows its name and value under the pointer."""
     hover = {"hovertemplate": f"{name} %{{y:.3f}}<extra></extra>"}
     return {"type": "scatter", "mode": "lines", "x": x, "y": short(y), "line": style, "name": name, **hover, **more}
 
 
 def marks(x: Any, y: Any, marker: Mapping[str, Any], **more: Any) -> dict[str, Any]:
-    """Single points."""
+    """Create single points."""
     return {"type": "scatter", "mode": "markers", "x": x, "y": y, "marker": marker, **more}
 
 
 def bars(found: Sequence[Interval]) -> dict[str, Any]:
-    """Bars to the ends of intervals; none to an end that is infinite, as those of a single scene are."""
+    """Create error bars to the ends of intervals; none to an infinite end, as with a single scene."""
     ends = np.array([[one.high - one.mean, one.mean - one.low] for one in found])
     up, down = short(np.where(np.isfinite(ends), ends, 0.0)).T
     return {"type": "data", "symmetric": False, "array": up, "arrayminus": down, "thickness": 1}
 
 
 def band(x: Any, low: Any, high: Any, colour: str, **more: Any) -> list[dict[str, Any]]:
-    """The area between two curves; nothing where there are none."""
+    """Create the area between two curves; empty if they are None."""
     if low is None or high is None:
         return []
     edge = {"width": 0, "color": colour, **more.pop("line", {})}

@@ -1,4 +1,4 @@
-"""The page of a gate: the verdict, what got worse with pictures, every score before and after, and how sure that is."""
+"""Page of a gate: verdict, pictures of the worst objects, every score before and after, and statistical power."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def gate_html(
     rates: Sequence[Rates],
     facts: Mapping[str, str],
 ) -> str:
-    """The whole page; the same result to the same text.
+    """Render the whole page; the same result gives the same text.
 
-    sentence: the verdict. caution: what a reader must know of it; empty: nothing. views: of the worst objects, by
-    object_id. rates: of simulated releases. facts: by name, of suite and weights.
+    sentence: the verdict. caution: caveat about the verdict, or empty. views: of the worst objects, by object_id.
+    rates: of simulated releases. facts: about suite and weights, by name.
     """
     verdict: list[Block] = [Paragraph(sentence, "worst" if found.worse else "")]
     verdict += [Paragraph(caution)] if caution else []

@@ -1,4 +1,4 @@
-"""The pages beside a sweep's report: what accuracy costs in time, effects, and stability."""
+"""Pages beside a sweep's report: accuracy against time, effects, and stability."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from shift3d.store.resolve import LocationLike, as_location
 
 
 def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
-    """Diagrams, advice and the table of each scene set, and what the columns mean.
+    """Render diagrams, advice and table of each scene set, and the meanings of the columns.
 
     Args:
         frame: the frontier's table.
-        machine: what it was measured on, by name.
+        machine: properties of the machine that measured it, by name.
     """
     measured = ", ".join(f"{name} {value}" for name, value in machine.items()) or "not recorded"
     headers = measured_headers(frame)
@@ -45,13 +45,13 @@ def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
 
 
 def write_frontier_report(folder: Path) -> str:
-    """Write report.html, frontier.png and advice.txt beside folder/frontier.parquet, each whole or not at all.
+    """Write report.html, frontier.png and advice.txt beside folder/frontier.parquet, each atomically.
 
-    The same table gives the same bytes. The report can be written again from the table alone.
+    The same table gives the same bytes. The report can be rewritten from the table alone.
 
-    Returns: What is printed: the table, what its columns mean, and the advice.
+    Returns: Text to print: the table, the meanings of its columns, and the advice.
 
-    Raises: InputError: no frontier there, or one of another schema version; a disk that is full or not writable.
+    Raises: InputError: the frontier is missing or has another schema version; the disk is full or not writable.
     """
     table = read_frontier(folder / "frontier.parquet")
     if not table.num_rows:
@@ -65,13 +65,13 @@ def write_frontier_report(folder: Path) -> str:
 
 
 def write_effects_page(path: LocationLike, sweep: str, impacts: Sequence[EffectImpact]) -> Location:
-    """Write the page of the effects' impact, whole or not at all; returns its path."""
+    """Write the page of the effects' impact atomically. Returns its path."""
     section = Section("effects", "Impact and time", impact_blocks(impacts))
     return _written(path, f"Measured impact of effects: {sweep}", [section])
 
 
 def write_stability_page(path: LocationLike, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
-    """Write the page of one sweep's stability, every unstable solution named; the same tables to the same bytes.
+    """Write the page of one sweep's stability, with every unstable solution; the same tables give the same bytes.
 
     Raises: InputError: the disk is full or not writable.
     """

@@ -1,4 +1,4 @@
-"""The report of a sweep: its sections in the order in which people ask, as one file."""
+"""Report page of a sweep: all sections, most wanted first, in one file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from shift3d.wording import counted
 
 
 def report_page(sweep: Sweep, cases: int = 4) -> str:
-    """The page of a sweep; the same sweep to the same text. cases: hard cases to show, fewer where fewer fell."""
+    """Render the page of a sweep; the same sweep gives the same text. cases: maximum number of hard cases."""
     plan = sweep.plan
     found, loaded = variants(sweep.auc, sweep.scored), Loaded(plan)
     known = [trial_caveat(plan.tasks), unmoved(sweep.scores), *merged_lines(plan.tasks)]
@@ -71,7 +71,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
 
 
 def write_report(folder: LocationLike, cases: int = 4) -> Location:
-    """Write ``report.html`` into a finished sweep's folder, whole or not at all; returns its path.
+    """Write ``report.html`` into a finished sweep's folder atomically. Returns its path.
 
     Raises: InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
     """

@@ -1,4 +1,4 @@
-"""Pictures of vehicles in scenes: two 3D views that turn together, the scene from above, tiles."""
+"""Figures of vehicles in scenes: paired 3D views, views from above, and tiles."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PAIR = ("baseline", "adversarial")
 
 
 def turnable(key: str, case: Case, before: Rendered, after: Rendered) -> tuple[Panels, TurnButtons]:
-    """Baseline and adversarial vehicle side by side, same scale; one turns with the other."""
+    """Create 3D views of baseline and adversarial vehicle at the same scale; rotating one rotates the other."""
     meshes = [_mesh(rendered, float(before.theta[3])) for rendered in (before, after)]
     both = np.concatenate([vertices for vertices, _ in meshes])
     layout = {"scene": _stage(both.min(axis=0) - 0.05, both.max(axis=0) + 0.05), "margin": _NO_MARGIN}
@@ -42,7 +42,7 @@ def turnable(key: str, case: Case, before: Rendered, after: Rendered) -> tuple[P
 
 
 def _mesh(rendered: Rendered, yaw_rad: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Vertices (V, 3) as they stand in the scene, turned back by the baseline's heading, and triangles (F, 3)."""
+    """Return vertices (V, 3) in scene orientation, turned back by the baseline's heading, and triangles (F, 3)."""
     vertices, faces = simplified(rendered.mesh)
     return oriented(vertices, rendered.theta, yaw_rad).round(4).astype(np.float32), faces
 
@@ -55,7 +55,7 @@ def _trace(vertices: NDArray[np.float32], faces: NDArray[np.int32], colour: str)
 
 
 def _stage(low: FloatArray, high: FloatArray) -> dict[str, Any]:
-    """Axes without lines, the same for both vehicles, in true proportion."""
+    """Create hidden axes in true proportion, the same for both vehicles."""
     extent = high - low
     hidden = {
         f"{name}axis": {"visible": False, "range": [float(low[i]), float(high[i])]} for i, name in enumerate("xyz")
@@ -65,7 +65,7 @@ def _stage(low: FloatArray, high: FloatArray) -> dict[str, Any]:
 
 
 def from_above(key: str, case: Case, before: Rendered, after: Rendered, centre_xy: FloatArray) -> Panels:
-    """The scene around the vehicle before and after, with the ground truth and the detector's best box."""
+    """Create views of the scene around the vehicle before and after, with ground truth and best box."""
     views = []
     for name, rendered in zip(_PAIR, (before, after)):
         colour = COLOURS["adversarial" if name == "adversarial" else "random"]
@@ -78,7 +78,7 @@ def from_above(key: str, case: Case, before: Rendered, after: Rendered, centre_x
 
 
 def seen_from_above(view: Rendered | FrozenView, colour: str, name: str) -> tuple[list[dict[str, Any]], str]:
-    """Points, ground truth and best box, and what that is in words. colour, name: of the object's points."""
+    """Create traces of points, ground truth and best box, and a text about the box. colour, name: object's points."""
     traces = [
         dots(view.scene_xy, "#8a8a8a", 2, "scene"),
         dots(view.object_xy, colour, 3, name),
@@ -100,7 +100,7 @@ def true_to_scale(
     height_px: int = 380,
     names: tuple[str, str] = ("x, m", "y, m"),
 ) -> Plot:
-    """A figure of a square of the plane, metres, around its middle (2,). names: of the axes."""
+    """Create a figure of a square of the plane around `middle` (2,), metres, at true scale. names: of the axes."""
     spans = [{"range": [round(float(centre) - half_m, 2), round(float(centre) + half_m, 2)]} for centre in middle]
     layout = {
         "xaxis": axis(names[0], **spans[0], constrain="domain", zeroline=False),
@@ -111,13 +111,13 @@ def true_to_scale(
 
 
 def dots(points: FloatArray, colour: str, size: int, name: str) -> dict[str, Any]:
-    """Points (P, 2) as dots."""
+    """Create dots for points (P, 2)."""
     at = {axis_name: np.round(points[:, i], 2).astype(np.float32) for i, axis_name in enumerate("xy")}
     return marks(marker={"size": size, "color": colour}, name=name, hoverinfo="skip", **at)
 
 
 def outline(box: FloatArray, colour: str, dash: str, name: str) -> dict[str, Any]:
-    """A box's footprint, with a stroke from its middle to its front."""
+    """Create a box's footprint, with a stroke from its centre to its front."""
     corners = corners_bev(box[None])[0]
     front = (corners[0] + corners[3]) / 2.0
     path = np.concatenate((corners, corners[:1], [[np.nan, np.nan]], box[None, :2], front[None]))
@@ -129,9 +129,9 @@ def outline(box: FloatArray, colour: str, dash: str, name: str) -> dict[str, Any
 
 
 def side_by_side(meshes: Sequence[trimesh.Trimesh], towards: Sequence[float], colours: Sequence[RGB]) -> bytes:
-    """Vehicles as one PNG, a little from above, all to the scale of a car unless one is longer.
+    """Render vehicles side by side as one PNG, slightly from above, at a car's scale unless a vehicle is longer.
 
-    towards: (N,) azimuths that they are seen from, radians. colours: (N,) of the vehicles.
+    towards: (N,) azimuths from which they are viewed, radians. colours: (N,) of the vehicles.
     """
     span_m = max(_SPAN_M, *(1.08 * float(mesh.extents.max()) for mesh in meshes))
     views = [shaded(mesh, at, 0.22, *_TILE_PX, span_m, rgb) for mesh, at, rgb in zip(meshes, towards, colours)]

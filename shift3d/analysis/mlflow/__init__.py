@@ -1,1 +1,1 @@
-"""MLflow: a mirror of what a sweep found, never the truth about it."""
+"""MLflow mirror of results; the folders on disk remain the source of truth."""

@@ -1,4 +1,4 @@
-"""What every mirror needs of MLflow: a client that gives up soon, runs found again, batches, a view with AUCs."""
+"""MLflow client helpers: short timeouts, runs looked up by tag, batched logging, and a shared view with AUC columns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-# An MLflow that is away must not hold a finished sweep up for MLflow's own default of minutes.
+# An unreachable MLflow must not delay a finished sweep for MLflow's default of minutes.
 _PATIENCE = {
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "5",
@@ -26,7 +26,7 @@ _LONGEST_PARAM = 500
 
 @contextlib.contextmanager
 def patience() -> Iterator[None]:
-    """MLflow gives up after seconds, not minutes, while this is open."""
+    """Make MLflow give up after seconds instead of minutes within this context."""
     added = {name: value for name, value in _PATIENCE.items() if name not in os.environ}
     os.environ.update(added)
     try:
@@ -37,7 +37,7 @@ def patience() -> Iterator[None]:
 
 
 def attempt(write: Callable[[], None]) -> str | None:
-    """Write something. Returns None, or why it could not be written: a mirror is never what a command fails for."""
+    """Call `write`. Returns None, or the reason why it failed: a command never fails because of its mirror."""
     with patience():
         try:
             write()
@@ -47,7 +47,7 @@ def attempt(write: Callable[[], None]) -> str | None:
 
 
 def open_client(uri: str) -> MlflowClient:
-    """A client of a store, without MLflow's own messages."""
+    """Open a client of a store, without MLflow's own messages."""
     import mlflow
     from mlflow import MlflowClient
 
@@ -58,18 +58,18 @@ def open_client(uri: str) -> MlflowClient:
 
 
 def experiment_of(client: MlflowClient, name: str) -> str:
-    """The id of an experiment, made where there is none."""
+    """Return the id of an experiment; create the experiment if it does not exist."""
     found = client.get_experiment_by_name(name)
     return str(found.experiment_id if found else client.create_experiment(name))
 
 
 def runs_of(client: MlflowClient, experiment_id: str, tag: str, value: str, most: int = 1000) -> list[Run]:
-    """The runs that have a tag."""
+    """Return the runs that have a tag."""
     return list(client.search_runs([experiment_id], f"tags.`{tag}` = '{value}'", max_results=most))
 
 
 def run_of(client: MlflowClient, experiment_id: str, name: str, tag: str, value: str, **tags: str) -> Run:
-    """The run that has a tag; where there is none, a new one of that name, with the tag and more tags."""
+    """Return the run that has a tag, or create a run with that name, the tag and further tags."""
     for run in runs_of(client, experiment_id, tag, value, most=1):
         return run
     return client.create_run(experiment_id, run_name=name, tags={tag: value, **tags})
@@ -82,7 +82,7 @@ def log(
     at_ms: int,
     params: Mapping[str, str] | None = None,
 ) -> None:
-    """Metrics as (name, value, step), and params that the run does not have yet."""
+    """Log metrics as (name, value, step), and the params that the run does not have yet."""
     from mlflow.entities import Metric, Param
 
     metrics = [Metric(metric_name(name), rounded(value), at_ms, step) for name, value, step in points]
@@ -92,17 +92,17 @@ def log(
 
 
 def rounded(value: float) -> float:
-    """A metric without float noise: the mean of 0.2 and 0.4 is 0.3, and not 0.30000000000000004."""
+    """Round a metric to remove float noise: the mean of 0.2 and 0.4 is 0.3, not 0.30000000000000004."""
     return round(float(value), 12)
 
 
 def metric_name(text: str) -> str:
-    """A name that MLflow takes."""
+    """Replace the characters that MLflow refuses in a name."""
     return re.sub(r"[^\w\-. /]", "_", text)
 
 
 def flat(params: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Nested values as texts by dotted names; what is null is left out."""
+    """Flatten nested values to texts by dotted names; null values are left out."""
     found: dict[str, str] = {}
     for key, value in params.items():
         if isinstance(value, Mapping):
@@ -115,16 +115,16 @@ def flat(params: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
 _VIEW_KEY = "auc"
 _VIEW_TAG = f"mlflow.sharedViewState.{_VIEW_KEY}"
 _MOST_COLUMNS = 24
-_GROUP_COLUMN = "metrics.`auc`"  # of the runs below a sweep's, a group each
+_GROUP_COLUMN = "metrics.`auc`"  # metric of a sweep's child runs, one run per group
 
 
 def share_view(client: MlflowClient, experiment_id: str, metrics: Iterable[str]) -> None:
-    """Put mean AUCs, as columns, into the experiment's view, beside those of the sweeps before.
+    """Add mean AUCs as columns to the experiment's shared view, beside those of earlier sweeps.
 
-    MLflow 3.17 keeps the columns of a list in the browser, and starts with none for metrics. What it shares between
-    users is a view behind a link: an experiment's tag that holds the view as JSON, named in the link by its key.
+    MLflow 3.17 keeps the columns of a run list in the browser, and initially shows no metrics. Users can share a view
+    only by a link: an experiment tag holds the view as JSON, and the link contains the tag's key.
 
-    metrics: names as `overall` gives them, of which those of means over vehicles are taken.
+    metrics: names as returned by `overall`; only means over vehicles become columns.
     """
     means = [f"metrics.`{name}`" for name in metrics if not name.startswith("auc/")]
     tag = client.get_experiment(experiment_id).tags.get(_VIEW_TAG)
@@ -134,7 +134,7 @@ def share_view(client: MlflowClient, experiment_id: str, metrics: Iterable[str])
 
 
 def shared_views(client: MlflowClient) -> Iterator[tuple[str, str]]:
-    """(name, path of its list of runs with AUC columns) of each experiment that has such a view."""
+    """Yield (name, path of the run list with AUC columns) of each experiment with a shared view."""
     for experiment in client.search_experiments():
         if _VIEW_TAG in experiment.tags:
             yield experiment.name, f"#/experiments/{experiment.experiment_id}/runs?viewStateShareKey={_VIEW_KEY}"

@@ -1,4 +1,4 @@
-"""One MLflow run a measurement that is a folder, as a frontier's and a gate's are: its numbers, and its files."""
+"""MLflow run of a measurement folder, such as a frontier's or a gate's: its numbers and its files."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ def mirror_measured(
     uri: str,
     experiment: str,
 ) -> str | None:
-    """Write the run "<kind>-<hash of the first file>", or write it again in place.
+    """Write the run "<kind>-<hash of the first file>", or update it in place.
 
-    Another measurement is another run, so that they can be compared, and the same folder mirrored twice is one.
+    Different measurements are different runs, so that they can be compared; the same folder mirrored twice is one run.
 
     Args:
-        files: of the folder, which become artifacts; the first is the measured table.
+        files: file names in the folder, which become artifacts; the first is the measured table.
         params: nested plain values. uri, experiment: of the store.
-    Returns: None, or why MLflow could not be written.
+    Returns: None, or the reason why MLflow could not be written.
     """
 
     def write() -> None:
-        # Before anything is written: half a run would look like a whole one.
+        # Checked before anything is written: a partial run would look complete.
         missing = [name for name in files if not (folder / name).is_file()]
         if missing:
             raise InputError(f"{missing[0]} is missing", str(folder), f"Write the report of the {kind} first")
@@ -52,13 +52,13 @@ def mirror_measured(
 
 
 _FRONTIER_FILES = ("frontier.parquet", "frontier.png", "report.html", "advice.txt")
-# What names a row is no metric of it.
+# Columns that identify a row are not metrics.
 _NAMES = ("setting", "method", "knob", "knob_name", "preset", "start", "grid", "gradient", "scenes")
 _LONGEST_NAME = 250  # MLflow's own limit
 
 
 def mirror_frontier(folder: Path, uri: str, experiment: str) -> str | None:
-    """`mirror_measured` of a frontier's folder with its table, picture, report and advice."""
+    """Mirror a frontier's folder with its table, figure, report and advice, see `mirror_measured`."""
     try:
         table = read_frontier(folder / "frontier.parquet")
     except InputError as error:
@@ -69,18 +69,18 @@ def mirror_frontier(folder: Path, uri: str, experiment: str) -> str | None:
 
 
 def frontier_metrics(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Every number of every row as ``<scenes>/<setting>/<column>``, in characters that MLflow takes.
+    """Return every number of every row as ``<scenes>/<setting>/<column>``, in characters that MLflow accepts.
 
-    What is null is left out; `pareto` is 1 or 0. Of settings whose names differ only in characters that MLflow does
-    not take, the later ones get a number.
+    Null values are left out; `pareto` is 1 or 0. If names of settings differ only in characters that MLflow refuses,
+    the later settings get a number.
 
-    Args: rows: the frontier's, as plain values by column.
+    Args: rows: the frontier's rows, as plain values by column.
     """
     columns = [name for name in FRONTIER_SCHEMA.names if name not in _NAMES]
     metrics: dict[str, float] = {}
     taken: set[str] = set()
     for row in rows:
-        # Room for the longest column's name and a number.
+        # Leave room for the longest column name and a number.
         name = plain = f"{_clean(row['scenes'])}/{_clean(row['setting'])}"[: _LONGEST_NAME - 40].rstrip("/ .")
         number = 2
         while name in taken:
@@ -91,7 +91,7 @@ def frontier_metrics(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _clean(text: str) -> str:
-    """Text as one part of a metric's path: no separators, nothing that a path would simplify away."""
+    """Convert text to one part of a metric's path: no separators, nothing that a path would simplify."""
     return re.sub(r"[^\w\-. ]", "_", text).strip(" .") or "_"
 
 
@@ -100,9 +100,9 @@ _GATE_FILES = ("verdict.json", "gate.parquet", "gate.html")
 
 
 def mirror_gate(folder: Path, uri: str) -> str | None:
-    """Write the run of a gate's folder; the same suite, weights and release before are one run, written in place.
+    """Write the run of a gate's folder; the same suite, weights and previous release update one run in place.
 
-    Returns None, or why MLflow could not be written.
+    Returns None, or the reason why MLflow could not be written.
     """
     verdict = json.loads((folder / _GATE_FILES[0]).read_bytes())
     metrics = {"worse": float(verdict["worse"])}

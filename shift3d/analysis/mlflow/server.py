@@ -1,4 +1,4 @@
-"""MLflow's web server on loopback, in this process: no signal leaves a part of it behind, SIGKILL included."""
+"""MLflow web server on loopback, inside this process, so that no signal, not even SIGKILL, leaves a part running."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from shift3d.analysis.mlflow.client import patience, shared_views
 from shift3d.errors import InputError
 
 HOST = "127.0.0.1"
-_SHUTDOWN_S = 3  # for requests in flight, after SIGINT or SIGTERM
+_SHUTDOWN_S = 3  # time for requests in flight after SIGINT or SIGTERM
 
 
 def open_port(port: int) -> socket.socket:
-    """A listening socket on loopback. Who connects before the server is up waits for it.
+    """Open a listening socket on loopback. Early connections wait until the server is up.
 
-    Raises: InputError: the port is taken, needs rights or is no port.
+    Raises: InputError: the port is taken, needs privileges or is not a port number.
     """
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -32,16 +32,16 @@ def open_port(port: int) -> socket.socket:
 
 
 def serve(uri: str, listening: socket.socket) -> None:
-    """Serve a store until a signal ends it: one process, without MLflow's eight of background jobs for LLM traces.
+    """Serve a store in one process until a signal ends it, without MLflow's eight job processes for LLM traces.
 
     Raises:
         InputError: the store cannot be opened.
         KeyboardInterrupt: SIGINT, after requests in flight.
     """
-    import uvicorn  # before MLflow, which protects its routes against foreign origins where it finds uvicorn loaded
+    import uvicorn  # before MLflow, which protects its routes against foreign origins only if uvicorn is loaded
 
     with patience(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # MLflow's imports say what MLflow should do about its own libraries
+        warnings.simplefilter("ignore")  # MLflow's imports warn about MLflow's own libraries
         from mlflow import MlflowClient
         from mlflow.server import constants
         from mlflow.server.fastapi_app import app
@@ -56,7 +56,7 @@ def serve(uri: str, listening: socket.socket) -> None:
         }
         try:
             initialize_backend_stores(uri, uri, artifacts)
-        except Exception as error:  # whatever the store's driver raises
+        except Exception as error:  # any error of the store's driver
             reason = " ".join(str(error).split())[:200]
             raise InputError(f"the store cannot be opened ({reason})", where=uri, remedy="Give --uri") from error
         address = f"http://{HOST}:{listening.getsockname()[1]}"

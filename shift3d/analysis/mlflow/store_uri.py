@@ -1,4 +1,4 @@
-"""Whether MLflow can have a store at a URI, found out before the work and without importing MLflow."""
+"""Check of an MLflow store's URI before the work starts, without importing MLflow."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _PLUGINS = "mlflow.tracking_store"
 
 
 def check_tracking(tracking: MlflowConfig | NoTrackingConfig) -> None:
-    """`check_store` of the store that settings name, where they name one."""
+    """Run `check_store` on the store that the settings name, if any."""
     if isinstance(tracking, MlflowConfig):
         check_store(tracking.uri)
 
 
 def check_store(uri: str, where: str = "tracking.uri") -> None:
-    """Refuse a store that MLflow would refuse, and a file or folder that cannot be written. A server may be away.
+    """Refuse a URI that MLflow would refuse, and a file or folder that is not writable. A server may be unreachable.
 
-    Raises: InputError: naming the schemes that there are, or the folder.
+    Raises: InputError: names the valid schemes, or the folder.
     """
     if not uri:
         raise InputError("no store is named", where=where, remedy="Give one, as sqlite:///mlflow.db")

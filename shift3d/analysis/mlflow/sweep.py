@@ -1,4 +1,4 @@
-"""One MLflow run a sweep: settings, AUCs, recall curves and final Parquet files, and a run below it for each group."""
+"""MLflow run of a sweep: settings, AUCs, recall curves and final Parquet files, with one child run per group."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 
 def follow_up_metrics(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:
-    """Metrics of the tables of ``final/`` that `shift3d patterns` and `shift3d retrieve` add; none of those missing.
+    """Return metrics of the tables that `shift3d patterns` and `shift3d retrieve` add to ``final/``, if present.
 
-    ``patterns/<group>/<measure>`` is a mean change over solutions. ``retrieval/<group>/retrieved`` is a mean score, and
-    so are ``baseline``, ``shape`` and ``controls`` beside it.
+    ``patterns/<group>/<measure>`` is a mean change over solutions. ``retrieval/<group>/retrieved``, ``baseline``,
+    ``shape`` and ``controls`` are mean scores.
     """
     found: dict[str, float] = {}
     if "patterns" in tables:
@@ -54,10 +54,10 @@ _FILES = ("spec.yaml", "env.json", "plan.parquet")
 
 @dataclass(frozen=True)
 class SweepRecord:
-    """What is mirrored of a sweep.
+    """Data of a sweep for its MLflow run.
 
-    sweep, spec_hash: the run's name and what makes it the same run when a sweep is finished again. folder: the output
-    folder; files of ``final/`` become artifacts. settings: nested plain values, logged flat as params. auc, curves:
+    sweep, spec_hash: run name, and the key under which a sweep finished again updates its run. folder: output folder;
+    files of ``final/`` become artifacts. settings: nested plain values, logged flat as params. auc, curves:
     ``final/auc.parquet`` and ``final/curves.parquet`` as frames. counts: further metrics by name (tasks, seconds).
     """
 
@@ -71,9 +71,9 @@ class SweepRecord:
 
 
 def mirror(record: SweepRecord, uri: str, experiment: str) -> str | None:
-    """Write a sweep's run, or write it again in place. Returns None, or why MLflow could not be written.
+    """Write or update a sweep's run. Returns None, or the reason why MLflow could not be written.
 
-    A sweep's results are in its folder: whatever goes wrong here is a warning and never the sweep's failure.
+    The results are in the sweep's folder: an error here is a warning and never fails the sweep.
     """
     return attempt(lambda: _write(record, uri, experiment))
 
@@ -96,10 +96,10 @@ def _write(record: SweepRecord, uri: str, experiment: str) -> None:
 
 
 def _run_of(client: MlflowClient, experiment_id: str, record: SweepRecord, digest: str) -> str:
-    """The sweep's run, by the hash of its spec, or a new one.
+    """Return the sweep's run by the hash of its spec, or create a run.
 
-    Other scores of the same spec (quarantined tasks have run since) are another run, and replace it: in MLflow a curve
-    that was logged cannot be taken back.
+    If the scores of the spec have changed (quarantined tasks have run since), a new run replaces the old one, because
+    MLflow cannot delete points of a logged curve.
     """
     for run in runs_of(client, experiment_id, "shift3d.spec_hash", record.spec_hash):
         if run.data.tags.get("shift3d.scores", digest) == digest:
@@ -112,13 +112,12 @@ def _run_of(client: MlflowClient, experiment_id: str, record: SweepRecord, diges
 
 
 def _children(client: MlflowClient, experiment_id: str, run_id: str) -> dict[str, Run]:
-    """Runs of a sweep's groups by name."""
     runs = runs_of(client, experiment_id, "mlflow.parentRunId", run_id, most=5 * MOST_GROUPS)
     return {run.data.tags.get("shift3d.group", ""): run for run in runs}
 
 
 def _write_children(client: MlflowClient, experiment_id: str, run_id: str, record: SweepRecord) -> str:
-    """One run a group, those that are not there yet or were cut short. Returns how many of the groups have one."""
+    """Write the runs of groups that are missing or incomplete. Returns "N of M": groups with a run, and all groups."""
     there = _children(client, experiment_id, run_id)
     shown = groups(record.auc, record.curves)
     for group in shown:
@@ -130,19 +129,19 @@ def _write_children(client: MlflowClient, experiment_id: str, run_id: str, recor
             continue
         recalls = {} if group.recall is None else {"recall": group.recall}
         points = [*((name, value, 0) for name, value in group.metrics.items()), *_points(recalls)]
-        # The same time again: a second try after one that was cut short repeats points and adds none.
+        # Always the same timestamp: a retry after an interrupted write repeats points and adds none.
         log(client, child.info.run_id, points, child.info.start_time, group.params)
         client.set_terminated(child.info.run_id, "FINISHED")
     return f"{len(shown)} of {len(record.auc)}"
 
 
 def _points(recalls: Mapping[str, Recall]) -> list[tuple[str, float, int]]:
-    """Curves over the threshold in percent."""
+    """Convert curves to metric points over the threshold in percent."""
     return [(name, value, percent) for name, recall in recalls.items() for percent, value in enumerate(recall)]
 
 
 def _write_parent(client: MlflowClient, run_id: str, record: SweepRecord, children: str) -> list[str]:
-    """AUCs, curves, counts and settings. Returns the names of the AUCs."""
+    """Write AUCs, curves, counts and settings. Returns the names of the AUCs."""
     run = client.get_run(run_id)
     aucs, recalls = overall(record.auc, record.curves)
     known = run.data.metrics
@@ -150,14 +149,14 @@ def _write_parent(client: MlflowClient, run_id: str, record: SweepRecord, childr
     changed = [(name, value, 0) for name, value in values.items() if known.get(name) != rounded(value)]
     for name, text in (("shift3d.folder", str(record.folder)), ("shift3d.groups_shown", children)):
         client.set_tag(run_id, name, text)
-    # What is logged later is the value that MLflow shows, so a count that has changed needs a time of its own.
+    # MLflow shows the value with the latest timestamp, so a changed count needs a new timestamp.
     log(client, run_id, changed, int(1e3 * time.time()), {"sweep": record.sweep, **flat(record.settings)})
     log(client, run_id, [*_points(recalls), *budget_points(record.auc)], run.info.start_time)
     return list(aucs)
 
 
 def _write_dataset(client: MlflowClient, run_id: str, record: SweepRecord, digest: str) -> None:
-    """What the numbers were taken over, by the hash of its content: two sweeps with one digest have the same scores."""
+    """Log the scores as a dataset by the hash of their content; sweeps with equal digests have equal scores."""
     from mlflow.entities import Dataset, DatasetInput, InputTag
 
     source = json.dumps({"uri": f"{record.folder}/final/scores.parquet"})

@@ -1,4 +1,4 @@
-"""What MLflow shows of a sweep: one row a group of its AUC table, and recall over the threshold in steps of 1 %."""
+"""Content of a sweep's MLflow runs: one row per group of its AUC table, and recall at thresholds in steps of 1 %."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from shift3d.analysis.mlflow.client import metric_name
 from shift3d.analysis.tables.budgets import budget_curves
 from shift3d.analysis.variants import SETTINGS, setting_text, variants
 
-MOST_GROUPS = 200
-"""Groups that get a run of their own: beyond that, MLflow's lists show nothing to anybody."""
+MOST_GROUPS = 200  # Maximum number of groups with a run; MLflow's lists are unreadable beyond it.
 
 _KEY = ("mode", "vehicle", "method")
 _VARIANTS = ("dataset", "lambda", *SETTINGS)
@@ -27,11 +26,9 @@ Recall = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Group:
-    """One row of the AUC table.
-
-    name: mode, vehicle, method, and whatever else differs within the sweep. params: all that the group is by name.
-    metrics: its numbers, those that there are. recall: (101,) at score thresholds of 0, 1, ... 100 %, or None.
-    """
+    """One row of the AUC table. name: mode, vehicle, method, and everything else that differs within the sweep. params:
+    all keys of the group by name. metrics: its existing numbers. recall: (101,) at score thresholds of 0, 1, ... 100 %,
+    or None."""
 
     name: str
     params: Mapping[str, str]
@@ -40,10 +37,7 @@ class Group:
 
 
 def groups(auc: pd.DataFrame, curves: pd.DataFrame) -> list[Group]:
-    """The groups that are shown: at most :data:`MOST_GROUPS`, those of the chosen lambda first, in the table's order.
-
-    Args: auc, curves: ``final/auc.parquet`` and ``final/curves.parquet`` as frames.
-    """
+    """Select at most MOST_GROUPS groups, those of the chosen lambda first. auc, curves: tables of ``final/``."""
     recalls = _recalls(curves)
     several = [name for name in _VARIANTS if auc[name].nunique(dropna=False) > 1]
     shown = auc.sort_values("selected", ascending=False, kind="stable").head(MOST_GROUPS)
@@ -59,10 +53,11 @@ def groups(auc: pd.DataFrame, curves: pd.DataFrame) -> list[Group]:
 
 
 def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], dict[str, Recall]]:
-    """AUCs by vehicle and their means over vehicles, of the chosen lambda, and the mean recall curves.
+    """Compute AUCs by vehicle, their means over vehicles, and mean recall curves, all for the chosen lambda.
 
-    Returns: ``auc/shape/coupe/adversarial`` and, of the mean, ``shape/adversarial`` to a number: a column of MLflow's
-    list shows some twelve letters. ``recall/shape/adversarial`` to (101,), the mean over vehicles.
+    Returns: ``auc/shape/coupe/adversarial`` and, for the mean, ``shape/adversarial`` to a number (short names, because
+    a column of MLflow's list shows about twelve letters); ``recall/shape/adversarial`` to (101,), the mean over
+    vehicles.
     """
     recalls = _recalls(curves)
     values: dict[str, float] = {}
@@ -81,7 +76,7 @@ def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], 
 
 
 def budget_points(auc: pd.DataFrame) -> list[tuple[str, float, int]]:
-    """AUCs over the baseline's as curves over the budget of naturalness in percent, 101 for none: MLflow's steps."""
+    """Return AUC ratios to the baseline with the budget in percent as MLflow step; step 101 means no budget."""
     points = []
     for curve in budget_curves(variants(auc)):
         for budget, variant in curve.variants.items():
@@ -93,7 +88,7 @@ def budget_points(auc: pd.DataFrame) -> list[tuple[str, float, int]]:
 
 
 def _mean(group: pd.DataFrame, recalls: Mapping[tuple[str, ...], Recall]) -> Recall | None:
-    """The recall of one vehicle over its data sets, by their number of scores."""
+    """Average the recall of one vehicle over data sets, weighted by their number of scores."""
     counts = {_identity(row): row["scores"] for row in group.to_dict("records")}
     known = [key for key in counts if key in recalls]
     if not known:
@@ -102,7 +97,7 @@ def _mean(group: pd.DataFrame, recalls: Mapping[tuple[str, ...], Recall]) -> Rec
 
 
 def _recalls(curves: pd.DataFrame) -> dict[tuple[str, ...], Recall]:
-    """Each group's step function at whole percents: what holds on [t_i, t_i+1) is that of t_i."""
+    """Sample each group's step function at whole percents; the value on [t_i, t_i+1) is that at t_i."""
     found = {}
     for key, curve in curves.groupby([*_KEY, *_VARIANTS], sort=False, dropna=False):
         knots = curve["score_threshold"].to_numpy(dtype=np.float64)
@@ -116,5 +111,5 @@ def _identity(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _text(value: Any) -> str:
-    """A cell as text: a missing lambda (pose) is a dash."""
+    """Format a cell as text; a missing lambda (pose) is a dash."""
     return "-" if value is None or value != value else setting_text(value)

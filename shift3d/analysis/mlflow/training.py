@@ -1,4 +1,4 @@
-"""MLflow runs of a training: its recipe as params, its curves as metrics against the step."""
+"""MLflow run of a training: its recipe as params, its curves as metrics by step."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from shift3d.progress_bar import write_line
 
 
 class TrainingCurves:
-    """Writes curves to MLflow while a training goes on; call it with points, at every checkpoint.
+    """Writer of training curves to MLflow; call it with points at every checkpoint.
 
-    A training's checkpoint comes first, so that a resumed training goes on where the curve ends and no step is
-    written twice. What could not be written is kept and tried again with the next points: an MLflow that is away
-    costs a few seconds a checkpoint and never the training; a line says so, and another at the end what is not there.
+    The training saves its checkpoint first, so that a resumed training continues where the curve ends and writes no
+    step twice. Points that could not be written are kept and retried with the next points. An unreachable MLflow costs
+    a few seconds per checkpoint and never fails the training; a warning reports it, and another one at the end reports
+    missing curves.
 
     Args:
         uri, experiment: of the store.
-        name: of the run, e.g. "train-sst". key: what makes it the same run when the training is resumed.
+        name: name of the run, e.g. "train-sst". key: identifies the run when the training is resumed.
         params: the recipe, nested plain values.
     """
 
@@ -32,7 +33,7 @@ class TrainingCurves:
         self._run_id: str | None = None
 
     def __call__(self, points: Sequence[tuple[int, Mapping[str, float]]]) -> None:
-        """Write points: (step, values by name). Sets `problem` to why they could not be written, else to None."""
+        """Write points: (step, values by name). Sets `problem` to the reason of a failure, else to None."""
         self._pending += points
         self.problem = attempt(self._write)
         if self.problem and not self._warned:
@@ -40,7 +41,7 @@ class TrainingCurves:
             write_line(f"warning: no curves in MLflow ({self.uri}): {self.problem}")
 
     def finish(self) -> None:
-        """Write what is left and mark the run as finished."""
+        """Write the pending points and mark the run as finished."""
         self(())
         run_id = self._run_id
         if self.problem is None and run_id is not None:

@@ -1,1 +1,1 @@
-"""Intervals, tests and bands: scenes are what is resampled."""
+"""Statistics of sweeps: intervals, tests and bands that resample whole scenes."""

@@ -1,4 +1,4 @@
-"""Confidence intervals by resampling scenes: objects of one scene are no independent draws."""
+"""Confidence intervals that resample whole scenes, because objects of one scene are not independent draws."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ FloatArray = NDArray[np.float64]
 _CONFIDENCE = 0.95
 _ENDS = ((1.0 - _CONFIDENCE) / 2.0, (1.0 + _CONFIDENCE) / 2.0)
 _DRAWS, _BAND_DRAWS = 4000, 1000
-# Of values that a BCa bootstrap holds at a time, 32 MB: its jackknife alone is groups by groups.
+# Values that a BCa bootstrap holds at a time (32 MB); its jackknife alone takes groups x groups values.
 _HELD = 2**22
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean, and where it lies with 95 % confidence; infinite where there is nothing to resample."""
+    """Mean with its 95 % confidence interval; the ends are infinite if there is nothing to resample."""
 
     mean: float
     low: float
@@ -29,15 +29,13 @@ class Interval:
 
 
 def mean_interval(values: ArrayLike, groups: Sequence[object], others: Sequence[object] | None = None) -> Interval:
-    """Mean of values (N,) and its bootstrap interval, whole groups (N names) drawn with replacement.
+    """Compute the mean of values (N,) and its bootstrap interval; whole groups (N names) are drawn with replacement.
 
-    With a single group the interval is infinite. Where all groups agree it is a point. The same values give the same
-    interval.
+    The interval is infinite with a single group, and a point if all groups have the same mean. The same values give the
+    same interval. With few groups the interval is too narrow, as is usual for bootstraps: it covered the mean of normal
+    draws in 88 % of the cases with 8 groups, 93 % with 20, 94 % with 40, 95 % with 200 (1,000 repetitions each).
 
-    With few groups it is too narrow, as bootstraps are: of normal draws it held the mean in 88 % of the cases with 8
-    groups, 93 % with 20, 94 % with 40, 95 % with 200 (1,000 repetitions each).
-
-    others: N names of groups that are draws too, see `_crossed`.
+    others: N names of a second grouping whose groups are random draws too, see `_crossed`.
 
     Source: Efron's BCa bootstrap (scipy), clusters resampled (Davison and Hinkley 1997, section 3.8).
     """
@@ -56,9 +54,9 @@ def mean_interval(values: ArrayLike, groups: Sequence[object], others: Sequence[
 
 
 def _bca(parts: Sequence[FloatArray], statistic: Callable[..., FloatArray], mean: float, number: int) -> Interval:
-    """A statistic's BCa interval, the same to the bit in batches of any size.
+    """Compute a statistic's BCa interval; it does not depend on the batch size, bit for bit.
 
-    parts: arrays (G,), a value a group. number: of values, for the random draws.
+    parts: arrays (G,), one value per group. number: number of values, part of the random seed.
     """
     from scipy.stats import bootstrap
 
@@ -79,10 +77,10 @@ def _bca(parts: Sequence[FloatArray], statistic: Callable[..., FloatArray], mean
 def difference_interval(
     values: ArrayLike, inside: NDArray[np.bool_], groups: Sequence[object], others: Sequence[object] | None = None
 ) -> Interval:
-    """Mean of the values (N,) inside less that of the others, and its percentile bootstrap, whole groups redrawn.
+    """Compute the mean of values (N,) inside minus that outside, with its percentile bootstrap over whole groups.
 
-    inside: (N,), neither all nor none. Infinite where fewer than two groups hold values on either side. others: N names
-    of groups that are draws too, see `_beside_others`.
+    inside: mask (N,), neither all True nor all False. The interval is infinite if fewer than two groups hold values on
+    either side. others: N names of a second grouping whose groups are random draws too, see `_beside_others`.
     Source: Davison and Hinkley 1997, section 3.8 (clusters).
     """
     numbers = np.asarray(values, dtype=np.float64)
@@ -107,18 +105,19 @@ def difference_interval(
 def _beside_others(
     found: Interval, numbers: FloatArray, inside: NDArray[np.bool_], others: Sequence[object]
 ) -> Interval:
-    """A difference's interval that redraws groups, widened by what other groups, as vehicles, differ among each other.
+    """Widen a difference's interval over groups by the spread between groups of a second grouping, such as vehicles.
 
-    A mean over few of them says little of others, however many values each has. They differ as much on one side as on
-    the other: the few of one side say too little of that themselves. Infinite where fewer than two are on either side.
+    A mean over few vehicles tells little about further vehicles, however many values each vehicle has. The spread is
+    pooled over both sides, because the few vehicles of one side estimate it poorly. The interval is infinite if either
+    side has fewer than two vehicles.
 
-    numbers, inside, others: (N,) as of `difference_interval`.
+    numbers, inside, others: (N,), as in `difference_interval`.
     Source: Student's two-sample t over the groups' means, its square added to that of the interval.
     """
     names, index = np.unique(np.asarray([str(one) for one in others]), return_inverse=True)
     sides = inside, ~inside
     on = [len(np.unique(index[side])) for side in sides]
-    freedom = len(names) - (1 if min(on) == len(names) else 2)  # one mean, or one a side
+    freedom = len(names) - (1 if min(on) == len(names) else 2)  # one estimated mean, or one per side
     if min(on) < 2:
         return Interval(found.mean, -np.inf, np.inf)
     means = np.where(inside, *(numbers[side].mean() for side in sides))
@@ -128,7 +127,7 @@ def _beside_others(
 
 
 def _widened(found: Interval, variance: float, freedom: int) -> Interval:
-    """An interval with a further variance of so many degrees of freedom."""
+    """Widen an interval by a further variance with the given degrees of freedom."""
     from scipy.stats import t
 
     half = t.ppf(_ENDS[1], freedom) * np.sqrt(variance)
@@ -137,13 +136,13 @@ def _widened(found: Interval, variance: float, freedom: int) -> Interval:
 
 
 def _crossed(found: Interval, influences: FloatArray, groups: Sequence[object], others: Sequence[object]) -> Interval:
-    """A mean's interval that redraws groups, widened by what other groups of the same rows add to the variance.
+    """Widen a mean's interval over groups by the variance that a second grouping of the same rows adds.
 
-    Objects of one scene are no independent draws, and neither are those of one shape: the variance is that over the
-    groups, plus that over the others, less that over both together, which is in either. Infinite where the others are a
-    single one.
+    Objects of one scene are not independent draws, nor are objects of one shape. The variance is that over the groups
+    plus that over the others, minus that over their intersections, which both contain. The interval is infinite if
+    there is only one other group.
 
-    influences: (N,) by how much each row moves the mean. groups, others: N names each.
+    influences: (N,) contribution of each row to the mean. groups, others: N names each.
     Source: Cameron, Gelbach and Miller 2011 (two-way clusters), with Student's t for few of the others.
     """
     count = len(set(map(str, others)))
@@ -154,17 +153,18 @@ def _crossed(found: Interval, influences: FloatArray, groups: Sequence[object], 
 
 
 def _variance(influences: FloatArray, groups: Sequence[object]) -> float:
-    """Of a mean, over groups (N names) of rows that move it so far (N,)."""
+    """Compute the variance of a mean over groups (N names) from the influences (N,) of the rows."""
     _, index = np.unique(np.asarray([str(group) for group in groups]), return_inverse=True)
     return float((np.bincount(index, influences) ** 2).sum())
 
 
 def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
-    """Mean over vehicles of their mean scores, and its BCa bootstrap, scenes with all their vehicles drawn together.
+    """Compute the mean over vehicles of their mean scores, with its BCa bootstrap over whole scenes.
 
-    rows: columns score, vehicle, place. A vehicle without a scene in a draw is left out of that draw's mean. Infinite
-    with a single place, a point where all places agree. Where the mean stays what it is whichever place is left out, as
-    where each vehicle has one score everywhere, BCa's acceleration is 0 / 0: the percentiles of the draws stand then.
+    rows: columns score, vehicle, place. A scene is drawn with all its vehicles. A vehicle without a scene in a draw is
+    left out of that draw's mean. The interval is infinite with a single place, and a point if all places agree. If
+    leaving out any one place does not change the mean, for example if each vehicle has one score everywhere, BCa's
+    acceleration is 0 / 0; the percentiles of the draws are used then.
     Source: as `mean_interval`.
     """
     places, vehicles = (sorted(set(rows[name])) for name in ("place", "vehicle"))
@@ -189,12 +189,12 @@ def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
 
 
 def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame, others: str | None = None) -> Interval | None:
-    """Mean over vehicles of the AUCs of some rows over that of others, and its percentile bootstrap.
+    """Compute the ratio of two mean AUCs over vehicles, `rows` over `reference`, with its percentile bootstrap.
 
-    rows, reference: columns score, vehicle, place. Places are redrawn whole, with both their parts, so that what makes
-    a scene hard is in both. None where a part is empty or the reference is 0; infinite with a single place. Its end is
-    infinite where more than 2.5 % of the draws hold none of the reference but scores of 0. others: column of groups
-    that are draws too, see `_crossed`.
+    rows, reference: columns score, vehicle, place. A place is drawn with its rows of both parts, so that a hard scene
+    affects numerator and denominator. Returns None if a part is empty or the reference is 0. The interval is infinite
+    with a single place. Its upper end is infinite if in more than 2.5 % of the draws all reference scores are 0.
+    others: column of a second grouping whose groups are random draws too, see `_crossed`.
     Source: Davison and Hinkley 1997, section 3.8 (clusters).
     """
     if rows.empty or reference.empty:
@@ -213,13 +213,13 @@ def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame, others: str | No
     drawn = _redrawn(len(places), _DRAWS, "ratio of areas", len(rows), len(reference))
     with np.errstate(divide="ignore", invalid="ignore"):
         found = _vehicle_mean(drawn, *above) / _vehicle_mean(drawn, *below)
-    ordered = np.sort(found[~np.isnan(found)])  # a draw without any row of one part has no ratio, nor has 0 / 0
+    ordered = np.sort(found[~np.isnan(found)])  # a draw without rows of one part has no ratio, nor has 0 / 0
     low, high = (_quantile(ordered, end) for end in _ENDS)
     return Interval(ratio, min(low, ratio), max(high, ratio))
 
 
 def _crossed_ratio(rows: pd.DataFrame, reference: pd.DataFrame, others: str) -> Interval | None:
-    """`ratio_interval` where the groups of a column are draws, too."""
+    """Compute `ratio_interval` if the groups of a second grouping, given by a column, are random draws too."""
     if (found := ratio_interval(rows, reference)) is None:
         return None
     parts = []
@@ -234,19 +234,19 @@ def _crossed_ratio(rows: pd.DataFrame, reference: pd.DataFrame, others: str) -> 
 
 
 def _quantile(ordered: FloatArray, share: float) -> float:
-    """A quantile of ascending values (N,), the last of which may be infinite: between these nothing is interpolated."""
+    """Compute a quantile of ascending values (N,), possibly infinite at the end; never interpolate to infinity."""
     above = ordered[int(np.ceil(share * (len(ordered) - 1)))]
     return float(np.quantile(ordered, share)) if np.isfinite(above) else float(above)
 
 
 def _redrawn(places: int, draws: int, *seed: str | int) -> FloatArray:
-    """How often each place is drawn (D, P), with replacement."""
+    """Draw places with replacement. Returns counts (D, P) of each place in each draw."""
     rng = generator(*seed, places)
     return rng.multinomial(places, np.full(places, 1.0 / places), size=draws).astype(np.float64)
 
 
 def _sums(rows: pd.DataFrame, places: list[str], vehicles: list[str]) -> tuple[FloatArray, FloatArray]:
-    """Sums and numbers of scores (P, V) by place and vehicle."""
+    """Compute sums and numbers of scores (P, V) by place and vehicle."""
     at = np.searchsorted(places, rows["place"]), np.searchsorted(vehicles, rows["vehicle"])
     sums, counts = (np.zeros((len(places), len(vehicles))) for _ in range(2))
     np.add.at(sums, at, rows["score"].to_numpy(dtype=np.float64))
@@ -255,12 +255,12 @@ def _sums(rows: pd.DataFrame, places: list[str], vehicles: list[str]) -> tuple[F
 
 
 def _vehicle_mean(drawn: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
-    """Mean over vehicles of their mean scores (D,) when each place counts as often as drawn (D, P) tells."""
+    """Compute the mean over vehicles of their mean scores (D,); drawn (D, P) weights the places."""
     return _mean_of_means(drawn @ sums, drawn @ counts, axis=1)
 
 
 def _mean_of_means(sums: FloatArray, counts: FloatArray, axis: int) -> FloatArray:
-    """Along an axis, the mean of sums over counts where there is a count; NaN where there is none."""
+    """Average sums / counts along an axis over the entries with a positive count; NaN without one."""
     means = np.divide(sums, counts, out=np.zeros_like(sums), where=counts > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(means.sum(axis=axis) / (counts > 0).sum(axis=axis))
@@ -269,7 +269,7 @@ def _mean_of_means(sums: FloatArray, counts: FloatArray, axis: int) -> FloatArra
 def recall_band(
     scores: ArrayLike, places: Sequence[str], thresholds: FloatArray
 ) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-    """recall(t) = P(score > t) at thresholds (T,), and its `resampled_band`. scores: (N,) in [0, 1], of N places."""
+    """Compute recall(t) = P(score > t) at thresholds (T,) with its `resampled_band`. scores: (N,) in [0, 1]."""
     values = np.asarray(scores, dtype=np.float64)
     return resampled_band((values[:, None] > thresholds).astype(np.float64), places, "recall band")
 
@@ -277,10 +277,10 @@ def recall_band(
 def resampled_band(
     values: FloatArray, places: Sequence[str], name: str
 ) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-    """Mean over the rows of values (N, T), and its pointwise percentile bootstrap, whole places (N names) redrawn.
+    """Compute the mean over the rows of values (N, T), with a pointwise percentile bootstrap over whole places.
 
-    name: of the random draws: the same values give the same band. Returns mean, low and high (T,); low and high are
-    None where there is but one place. Source: Davison and Hinkley 1997, section 3.8 (clusters).
+    places: N names. name: name of the random stream; the same values give the same band. Returns mean, low and high
+    (T,); low and high are None with a single place. Source: Davison and Hinkley 1997, section 3.8 (clusters).
     """
     _, index = np.unique(np.asarray(places), return_inverse=True)
     counts = np.bincount(index).astype(np.float64)
@@ -291,5 +291,5 @@ def resampled_band(
         return mean, None, None
     drawn = _redrawn(len(counts), _BAND_DRAWS, name, len(values))
     low, high = np.quantile((drawn @ sums) / (drawn @ counts)[:, None], _ENDS, axis=0)
-    # A skewed bootstrap may leave out its own estimate; a band that does not hold its curve would mislead.
+    # A skewed bootstrap may exclude its own estimate; a band that does not contain its curve would mislead.
     return mean, np.minimum(low, mean), np.maximum(high, mean)

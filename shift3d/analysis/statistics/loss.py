@@ -1,4 +1,4 @@
-"""Whether scores got worse, tested by flipping whole scenes; and how many objects such a test needs."""
+"""Sign-flip test over whole scenes for a loss of score, and the number of objects that a loss of recall needs."""
 
 from __future__ import annotations
 
@@ -13,16 +13,12 @@ from shift3d.seeding import generator
 
 FloatArray = NDArray[np.float64]
 _FLIPS = 9_999
-_ALL_PATTERNS = 13
-"""Up to so many scenes every pattern of signs is looked at, which makes the p-values exact."""
+_ALL_PATTERNS = 13  # Up to this number of scenes all sign patterns are enumerated, which makes the p-values exact.
 _MOST_OBJECTS = 1_000_000
 
 
 def scene_sums(differences: FloatArray, places: Sequence[str]) -> FloatArray:
-    """Sums over each place (S, ...) of differences (N, ...), of N named places; those without a difference left out.
-
-    A sum of rounding, as of differences that cancel each other, is 0.
-    """
+    """Sum differences (N, ...) over places (N names), rounding set to 0. Returns (S, ...) without all-zero places."""
     _, index = np.unique(np.asarray(places), return_inverse=True)
     sums = np.zeros((index.max() + 1, *differences.shape[1:]))
     np.add.at(sums, index, differences)
@@ -31,13 +27,14 @@ def scene_sums(differences: FloatArray, places: Sequence[str]) -> FloatArray:
 
 
 def flip_p_values(sums: FloatArray, flips: int = _FLIPS) -> FloatArray:
-    """One-sided p-values (..., J) of losses, corrected for there being J of them.
+    """Compute one-sided p-values (..., J) of losses, corrected for testing J measures.
 
-    sums: (S, ..., J) of differences after - before, over S scenes, of J measures; what stands between is independent
-    tests. A measure's statistic is -sum / sqrt(sum of squares) over the scenes. Where nothing got worse, before and
-    after could change places in any scene, all measures together: so the statistics are compared with the largest of
-    the J under random signs of scenes. Exact in level for exchangeable releases, whatever the distribution and however
-    the measures or the objects of a scene hang together. A measure without differences has p = 1.
+    sums: (S, ..., J) of differences after - before, over S scenes, of J measures; the axes between are independent
+    tests. The statistic of a measure is -sum / sqrt(sum of squares) over the scenes. Under the null hypothesis before
+    and after are exchangeable in each scene, for all measures together. Each statistic is therefore compared with the
+    largest of the J under random sign flips of scenes. The level is exact for exchangeable releases, whatever the
+    distribution and the dependence between measures or between objects of a scene. A measure without differences has
+    p=1.
 
     Source: sign-flip (Fisher's randomization) test; single-step maxT of Westfall and Young 1993.
     """
@@ -54,12 +51,12 @@ def flip_p_values(sums: FloatArray, flips: int = _FLIPS) -> FloatArray:
 
 
 def least_p_value(scenes: int) -> float:
-    """The least that `flip_p_values` can be with objects of so many scenes."""
+    """Return the smallest possible `flip_p_values` for the number of scenes."""
     return 1.0 / (2**scenes if scenes <= _ALL_PATTERNS else 1 + _FLIPS)
 
 
 def _signs(scenes: int, flips: int) -> FloatArray:
-    """Patterns of signs (B, S): every one where there are few scenes, else as they are and random ones."""
+    """Return sign patterns (B, S): all patterns for few scenes, else the identity and random patterns."""
     if scenes <= _ALL_PATTERNS:
         patterns = np.arange(2**scenes)[:, None] >> np.arange(scenes) & 1
         return np.asarray(1.0 - 2.0 * patterns, dtype=np.float64)
@@ -68,9 +65,9 @@ def _signs(scenes: int, flips: int) -> FloatArray:
 
 
 def recall_power(objects: int, lost: float, gained: float, level: float) -> float:
-    """Chance that the exact sign test finds a loss of recall, of independent objects.
+    """Compute the probability that the exact sign test detects a loss of recall of independent objects.
 
-    lost, gained: shares of the objects that are no longer, and newly, detected. level: one-sided.
+    lost, gained: shares of the objects that only the old, or only the new, release detects. level: one-sided.
     Source: McNemar's test in its exact form, averaged over the number of discordant objects.
     """
     from scipy.stats import binom
@@ -83,9 +80,10 @@ def recall_power(objects: int, lost: float, gained: float, level: float) -> floa
 
 
 def objects_needed(loss: float, churn: float, power: float, level: float) -> int | None:
-    """The fewest objects with which a loss of recall is found with a power; None: more than a million.
+    """Find the smallest number of objects that detects a loss of recall with the given power.
 
-    loss: share of the objects, beyond churn: the share that is lost, and the one that is gained, without any loss.
+    loss: share of the objects that is lost beyond churn. churn: share that is lost without a loss, and equally the
+    share that is gained. Returns None if 524,288 objects, the largest power of two below a million, are too few.
     """
 
     def enough(objects: int) -> bool:
@@ -96,12 +94,12 @@ def objects_needed(loss: float, churn: float, power: float, level: float) -> int
         high *= 2
         if high > _MOST_OBJECTS:
             return None
-    # The power of a discrete test is a saw; where it first rises above does.
+    # The power of a discrete test is a sawtooth; the crossing that bisection finds is good enough.
     return bisect_left(range(high), True, lo=high // 2 + 1, key=enough)
 
 
 def detectable_loss(objects: int, churn: float, power: float, level: float) -> float | None:
-    """The smallest loss of recall that so many objects show with a power, to 0.0005; None: not even a loss of all."""
+    """Find the smallest loss of recall, to 0.0005, that the objects show with the given power, or None."""
     steps = range(1, round((1.0 - 2.0 * churn) / 0.0005))
     found = bisect_left(steps, True, key=lambda n: recall_power(objects, churn + 0.0005 * n, churn, level) >= power)
     return 0.0005 * steps[found] if found < len(steps) else None

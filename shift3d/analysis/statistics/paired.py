@@ -15,11 +15,8 @@ from shift3d.analysis.statistics.rounding import without_rounding
 
 @dataclass(frozen=True)
 class Paired:
-    """How far a method's scores differ from another's of the same tasks.
-
-    interval: mean difference, scenes resampled. p_value: Wilcoxon's signed-rank test, two-sided, over the scenes' mean
-    differences; None with a single scene.
-    """
+    """Difference between the scores of two methods on the same tasks. interval: mean difference, scenes resampled.
+    p_value: Wilcoxon's signed-rank test, two-sided, over the scenes' mean differences; None with a single scene."""
 
     interval: Interval
     p_value: float | None
@@ -28,10 +25,10 @@ class Paired:
 
 
 def paired(rows: pd.DataFrame, method: str, reference: str) -> Paired | None:
-    """Differences method - reference, task by task (replicates averaged); None where no task has both.
+    """Compare two methods task by task: method - reference, replicates averaged. Returns None if no task has both.
 
-    rows: columns task_id, place, method, score. Source: our choice: the paper states no test. Scenes, not tasks, are
-    counted by the test, since vehicles in one scene are no independent draws. A difference of rounding is none.
+    rows: columns task_id, place, method, score. Differences at rounding level count as 0. Source: our choice: the paper
+    states no test. The test counts scenes, not tasks, since vehicles in one scene are not independent draws.
     """
     table = rows.pivot_table(index=["place", "task_id"], columns="method", values="score", aggfunc="mean")
     if method not in table or reference not in table:
@@ -54,7 +51,7 @@ def _signed_rank(differences: NDArray[np.float64]) -> float | None:
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """p-values corrected for their number by Holm's step-down; None stays None. Source: Holm 1979."""
+    """Correct p-values for their number by Holm's step-down; None stays None. Source: Holm 1979."""
     known = sorted((value, index) for index, value in enumerate(p_values) if value is not None)
     corrected: list[float | None] = [None] * len(p_values)
     largest = 0.0

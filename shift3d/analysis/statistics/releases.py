@@ -1,4 +1,4 @@
-"""Simulated releases: how often a gate stops them, with a loss of recall put into them and without."""
+"""Simulated releases: rate at which a gate stops releases with and without a known loss of recall."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from shift3d.analysis.statistics.loss import flip_p_values, scene_sums
 from shift3d.seeding import generator
 
 FloatArray = NDArray[np.float64]
-MEASURES = ("recall", "mean score")
-"""Of each role's objects: what a gate tests."""
+MEASURES = ("recall", "mean score")  # Measures that a gate tests for each role's objects.
 _SIMULATED_FLIPS = 1_999
 _FLOOR = 0.005
 
 
 @dataclass(frozen=True)
 class Rule:
-    """When a release is worse: a measure fell by ``tolerance`` or more, and by more than chance explains at ``level``,
-    one-sided, of all measures together. A score above score_threshold is a detection. Source: our choice."""
+    """Rule that decides whether a release is worse. A measure stops the release if it fell by ``tolerance`` or more and
+    its one-sided p-value, corrected for the number of measures, is at most ``level``. A score above ``score_threshold``
+    is a detection. Source: our choice."""
 
     score_threshold: float = 0.3
     level: float = 0.05
     tolerance: float = 0.005
 
     def stops(self, changes: FloatArray, p_values: FloatArray) -> NDArray[np.bool_]:
-        """Whether measures (..., J) stop a release."""
+        """Mask (..., J) of the measures that stop a release."""
         return np.asarray((p_values <= self.level) & (changes <= -self.tolerance))
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Of simulated releases. churn: standard deviation of the logits. lost: share of the hard objects that a release
-    without a loss no longer detects (and as many newly does). false_alarms: share stopped without a loss. found: share
-    stopped with the loss; None where too few objects are detected to lose so many."""
+    """Rates of simulated releases. churn: standard deviation of the logit noise. lost: share of the hard objects that a
+    release without a loss fails to detect (it gains as many). false_alarms: share stopped without a loss. found: share
+    stopped with the loss; None if too few objects are detected for the loss."""
 
     churn: float
     lost: float
@@ -48,7 +48,7 @@ class Rates:
 def measured_differences(
     before: FloatArray, after: FloatArray, groups: Sequence[NDArray[np.bool_]], score_threshold: float
 ) -> FloatArray:
-    """Differences (N, ..., 2 G) of recall and score, group by group, 0 for objects of other groups.
+    """Compute differences (N, ..., 2 G) of recall and score, group by group, 0 for objects of other groups.
 
     before, after: scores (N, ...). groups: G masks (N,). A score above the threshold is a detection.
     """
@@ -66,11 +66,12 @@ def stopped_releases(
     rule: Rule,
     releases: int = 200,
 ) -> Rates:
-    """How often the gate stops releases drawn around scores (N,) of N objects in N named places.
+    """Simulate releases around the scores (N,) of N objects in N named places, and count those that the gate stops.
 
-    Both releases of a pair are the scores' logits with normal noise of standard deviation ``churn``, half of its
-    variance common to a scene: without a loss they are exchangeable. The loss: of the hard objects that both releases
-    detect, a share ``loss`` of all hard objects, drawn at random, is given a score between 0 and the threshold.
+    Both releases of a pair are the scores' logits with normal noise of standard deviation ``churn``; objects of a scene
+    share half of the variance. Without a loss the two releases are exchangeable. For the loss, a number of objects
+    equal to the share ``loss`` of all hard objects is drawn at random from the hard objects that both releases detect.
+    Each of them gets a score between 0 and the threshold.
 
     Source: our choice.
     """
@@ -87,7 +88,7 @@ def stopped_releases(
     worse, feasible = after.copy(), True
     for release in range(releases):
         both = np.flatnonzero(hard & (before[:, release] > score_threshold) & (after[:, release] > score_threshold))
-        number = ceil(loss * int(hard.sum()) - 1e-9)  # of few objects one at least: none is no loss
+        number = ceil(loss * int(hard.sum()) - 1e-9)  # at least one object, else there is no loss
         feasible &= len(both) >= number
         taken = rng.permutation(both)[:number]
         worse[taken, release] = score_threshold * rng.random(len(taken))

@@ -1,14 +1,13 @@
-"""Differences of scores that are nothing but rounding."""
+"""Removal of score differences that are only rounding."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDED = 1e-12
-"""Differences of scores below it are those of rounding: three replicates of 0.1 have a mean of 0.09999999999999999."""
+ROUNDED = 1e-12  # Smaller score differences are rounding: three replicates of 0.1 have a mean of 0.09999999999999999.
 
 
 def without_rounding(differences: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Differences (...) with those of rounding as 0: a test of signs would count them as much as any other."""
+    """Set differences (...) at rounding level to 0, because a sign test would count them like any other difference."""
     return np.where(np.abs(differences) < ROUNDED, 0.0, differences)

@@ -1,1 +1,1 @@
-"""Results as tables of text: what a command prints and a page shows."""
+"""Result tables made of texts, printed by commands and shown on pages."""

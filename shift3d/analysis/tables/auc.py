@@ -1,4 +1,4 @@
-"""The table of AUCs: rows are methods, columns vehicles and their mean, as in the paper."""
+"""Table of AUCs in the paper's layout: one row per method, one column per vehicle, and the mean."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from shift3d.wording import counted
 
 
 def natural_table(scores: pd.DataFrame) -> Table | None:
-    """Count, AUC and its ratio to the baseline's over all adversarial shapes and over the natural ones.
+    """Build the table of AUCs and their ratio to the baseline, over all adversarial shapes and over the natural ones.
 
-    A line a mode, search, attacked detector, alpha and lambda, chosen or not. Means are those of the vehicles' AUCs.
-    scores: of ``final/``. None where nothing was measured.
+    One line per mode, search, attacked detector, alpha and lambda, chosen or not. Means are over the vehicles' AUCs.
+    scores: the table of ``final/``. Returns None if naturalness was not measured.
     """
     verdicts = natural_by_task(scores)
     own = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
@@ -48,10 +48,7 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
 
 
 def natural_search(scores: pd.DataFrame) -> str | None:
-    """The command that looks for hard shapes that are vehicles, where searches without a budget left them; else None.
-
-    scores: of ``final/``.
-    """
+    """Return the command to search natural shapes if unbudgeted searches left unnatural ones. scores: of ``final/``."""
     left = {task for task, natural in natural_by_task(scores).items() if not natural}
     rows = scores[scores["task_id"].isin(left) & ~scores["search"].str.contains("_within")]
     if rows.empty:
@@ -61,9 +58,9 @@ def natural_search(scores: pd.DataFrame) -> str | None:
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:
-    """AUC by method and vehicle; below them those over the tasks whose shape is natural, and the chosen lambdas.
+    """Build the table of AUCs by method and vehicle, with rows for natural shapes and for the chosen lambdas.
 
-    in_full: with 95 % intervals and numbers of scenes as notes, and the paper's rows beside; it takes a second or two.
+    in_full: add 95 % intervals and numbers of scenes as notes, and the paper's rows; takes a second or two.
     """
     vehicles = variant.vehicles
     paper = paper_beside(variant) if in_full else None
@@ -102,7 +99,7 @@ def _line(
     rows: pd.DataFrame | None = None,
     in_full: bool = False,
 ) -> Sequence[Cell]:
-    """A method's line. rows: the scores behind it and behind the baseline's, where they are known."""
+    """Build a method's line. rows: scores of the method and of the baseline, if known."""
     values = [number(aucs.of(method, vehicle)) for vehicle in vehicles]
     mean = number(aucs.mean(method, vehicles))
     if rows is None or rows.empty:
@@ -118,13 +115,13 @@ def _line(
 
 
 def with_baseline(rows: pd.DataFrame, method: str) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """A method's rows, and the baseline's of the same tasks: a task without a score of the method is in neither."""
+    """Select a method's rows and the baseline's rows of the same tasks; tasks without the method are in neither."""
     own = rows[rows["method"] == method]
     return own, rows[(rows["method"] == "baseline") & rows["task_id"].isin(own["task_id"])]
 
 
 def _noted(value: str, rows: pd.DataFrame) -> Cell:
-    """An AUC with its interval and its number of scenes. rows: of one vehicle, or of all for the mean."""
+    """Add interval and number of scenes to an AUC. rows: of one vehicle, or of all vehicles for the mean."""
     if rows.empty:
         return value
     ends = between(vehicle_mean_interval(rows), 3) or "no interval"
@@ -132,7 +129,7 @@ def _noted(value: str, rows: pd.DataFrame) -> Cell:
 
 
 def ratio_texts(rows: pd.DataFrame, baseline: pd.DataFrame) -> tuple[str, str]:
-    """The ratio of two mean AUCs and its interval, the latter nothing where it is a point or infinite."""
+    """Format the ratio of two mean AUCs, and its interval, which is empty if it is a point or infinite."""
     found = ratio_interval(rows, baseline)
     if found is None:
         return "-", ""
@@ -140,14 +137,14 @@ def ratio_texts(rows: pd.DataFrame, baseline: pd.DataFrame) -> tuple[str, str]:
 
 
 def natural_rows(variant: Variant) -> pd.DataFrame:
-    """Rows of the tasks whose adversarial shape is natural; none where that was not measured."""
+    """Select the rows of tasks whose adversarial shape is natural; none if that was not measured."""
     if variant.rows.empty:
         return variant.rows
     return variant.rows[variant.rows["natural"].eq(True)]
 
 
 def natural_sentence(variant: Variant) -> str | None:
-    """How many adversarial shapes are natural, by vehicle; None where it was not measured."""
+    """Describe the number of natural adversarial shapes by vehicle; None if it was not measured."""
     tasks = variant.rows[variant.rows["natural"].notna()].drop_duplicates("task_id")
     if variant.mode == "pose" or tasks.empty:
         return None
@@ -162,7 +159,7 @@ def natural_sentence(variant: Variant) -> str | None:
 
 
 def _short(names: list[str], longest: int = 16) -> list[str]:
-    """Names that are too long for a column cut to beginnings that still tell them apart."""
+    """Truncate names that are too long for a column to prefixes that still differ."""
     if max(map(len, names)) <= longest:
         return names
     length = longest

@@ -1,4 +1,4 @@
-"""The AUC against the budget of naturalness: how hard vehicles get that stay vehicles."""
+"""AUC as a function of the naturalness budget: how hard vehicles become that remain plausible vehicles."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.analysis.variants import Variant
 from shift3d.task.spec import label_words, split_label
 
-ANY_SHAPE = math.inf
-"""The budget of a search without one; one of percentile 100 still bounds sizes."""
+ANY_SHAPE = math.inf  # Budget of a search without a limit; percentile 100 still bounds sizes.
 
 
 @dataclass(frozen=True)
 class BudgetCurve:
-    """One search before one detector. variants: by the percentile that its shapes may not pass, rising."""
+    """One search against one detector under several budgets. variants: by percentile limit of the shapes, ascending."""
 
     title: str
     variants: dict[float, Variant]
 
     def ratio(self, budget: float, method: str) -> Interval | None:
-        """The method's AUC over the baseline's of the same tasks, scenes redrawn; None where it has no scores."""
+        """Compute the method's AUC over the baseline's for the same tasks, scenes redrawn; None without scores."""
         return ratio_interval(*with_baseline(self.variants[budget].rows, method))
 
 
 def budget_curves(found: Sequence[Variant]) -> list[BudgetCurve]:
-    """Searches over shapes that a sweep ran under two budgets or more."""
+    """Collect the shape searches that a sweep ran under two or more budgets."""
     groups: dict[tuple[str, ...], dict[float, Variant]] = {}
     for variant in found:
         search, budget = split_label(variant.search)
@@ -41,7 +40,7 @@ def budget_curves(found: Sequence[Variant]) -> list[BudgetCurve]:
             groups.setdefault((variant.mode, search, *settings), {})[budget or ANY_SHAPE] = variant
     several = {key: dict(sorted(group.items())) for key, group in groups.items() if len(group) > 1}
     differing = [len(set(values)) > 1 for values in zip(*several)]
-    differing[:2] = [True] * len(differing[:2])  # what is searched, and how, is always said
+    differing[:2] = [True] * len(differing[:2])  # mode and search are always part of the title
     return [
         BudgetCurve(", ".join(label_words(text) for text, differs in zip(key, differing) if differs), group)
         for key, group in several.items()
@@ -49,7 +48,7 @@ def budget_curves(found: Sequence[Variant]) -> list[BudgetCurve]:
 
 
 def budget_table(found: Sequence[Variant]) -> Table | None:
-    """A line a search and budget; None where no search ran under two budgets. All tasks that have a score count."""
+    """Build the table: one line per search and budget, over all scored tasks; None if no search has two budgets."""
     lines = []
     for curve in budget_curves(found):
         for budget, variant in curve.variants.items():
@@ -66,7 +65,7 @@ def budget_table(found: Sequence[Variant]) -> Table | None:
 
 
 def _shapes(rows: pd.DataFrame) -> list[str]:
-    """How many adversarial shapes are natural, and their median surface distance in cm."""
+    """Format the number of natural adversarial shapes, and their median surface distance in cm."""
     own = rows[rows["method"] == "adversarial"].drop_duplicates("task_id")
     judged = own[own["natural"].notna()]
     natural = f"{int(judged['natural'].eq(True).sum())} of {len(judged)}" if len(judged) else "-"

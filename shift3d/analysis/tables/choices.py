@@ -1,4 +1,4 @@
-"""Which hyper-parameters the paper's rules choose on a sweep's scores, with candidates and reasons."""
+"""Hyper-parameters that the paper's rules choose from a sweep's scores, with candidates and reasons."""
 
 from __future__ import annotations
 
@@ -11,22 +11,19 @@ from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import setting_text
 
 MEASURES = {"alpha": "AUC of what was found", "lambda": "mean adversarial loss"}
+# Copied from the paper's text: supplement, Hyper-Parameters.
 _PAPER = Path(__file__).resolve().parents[1] / "measured" / "paper_choices.json"
-"""Copied from the paper's text: supplement, Hyper-Parameters."""
 _OF = ("mode", "vehicle", "detector", "accuracy", "search", "effects", "alpha")
 
 
 def papers_choice(parameter: str, of: str) -> float | None:
-    """What the paper chose for a mode (alpha) or a vehicle (lambda); None where it says nothing."""
+    """Return the paper's choice for a mode (alpha) or a vehicle (lambda), or None if the paper gives none."""
     chosen: dict[str, dict[str, float]] = json.loads(_PAPER.read_text(encoding="utf-8"))["chosen"]
     return chosen[parameter].get(of)
 
 
 def choice_tables(choices: pd.DataFrame) -> list[Table]:
-    """A table a parameter: a line for each mode (alpha) or vehicle (lambda), and for each further setting that differs.
-
-    choices: the table of ``final/``.
-    """
+    """Build a table per parameter, a line per mode (alpha) or vehicle (lambda) and setting. choices: of ``final/``."""
     tables = []
     for parameter, rows in choices.groupby("parameter", sort=False):
         candidates = sorted(set(rows["candidate"]))
@@ -49,5 +46,5 @@ def choice_tables(choices: pd.DataFrame) -> list[Table]:
 
 
 def reasons(choices: pd.DataFrame) -> list[str]:
-    """Why each choice was made, a sentence each."""
+    """Return the reason of each choice, one sentence each."""
     return list(dict.fromkeys(choices["why"]))

@@ -1,4 +1,4 @@
-"""What a sweep prints at its end: what ran, where the time went, and when its numbers cannot mean much."""
+"""Final report of a sweep: results, coverage, time by stage, and warnings about results that mean little."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from shift3d.wording import counted
 
 
 def sweep_report(sweep: Sweep) -> str:
-    """AUCs, also by budget, natural shapes, shapes in other scenes, choices, what ran, its time and its accuracy."""
+    """Format AUCs (also by budget), natural shapes, transfers, choices, coverage, time and accuracy of a sweep."""
     parted = variants(sweep.auc, sweep.scored)
     parts = [
         *(auc_table(variant) for variant in parted),
@@ -49,9 +49,9 @@ _SAME_SCORE = 1e-6
 
 
 def trial_caveat(tasks: Tasks) -> str | None:
-    """What to know before reading a sweep's AUCs, with the command for AUCs that mean something, or None.
+    """Return a warning if a sweep is too small for meaningful AUCs, with a command for meaningful ones, else None.
 
-    tasks: of the whole plan; of several numbers of steps the largest counts. Random draws have none, and edits alone.
+    tasks: all tasks of the plan; the largest number of steps counts. Random searches and pure edits count no steps.
     """
     attacks = [group.template.attack for group in tasks.groups()]
     steps = max((a.steps for a in attacks if a.search != "random" and (a.steps or not a.edit)), default=PAPER_STEPS)
@@ -69,9 +69,9 @@ def trial_caveat(tasks: Tasks) -> str | None:
 
 
 def nothing_placed(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | None:
-    """That nothing fitted, what a place had to be, and which settings to widen; None where some vehicle found one.
+    """Return a message if no vehicle found a place, with the limits and the settings to widen, else None.
 
-    Args: scores: the table of ``final/``. settings: of the sweep's first task.
+    Args: scores: the table of ``final/``. settings: settings of the sweep's first task.
     """
     if scores.empty or not scores["status"].eq("no_placement").all():
         return None
@@ -87,9 +87,9 @@ def nothing_placed(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | N
 
 
 def unmoved(scores: pd.DataFrame) -> str | None:
-    """The detectors to which changed vehicles are all alike, and what to check; None where there are none.
+    """Return a warning that names the detectors whose score never reacts to changes of the vehicle, else None.
 
-    scores: the table of ``final/``. Tasks count whose rows differ in their points on the vehicle.
+    scores: the table of ``final/``. Only tasks whose rows differ in their number of points on the vehicle count.
     """
     scored = scores[scores["score"].notna() & scores["object_points"].notna()]
     by_task = scored.groupby(["scored_by", "task_id"], sort=False)
@@ -106,14 +106,14 @@ def unmoved(scores: pd.DataFrame) -> str | None:
 
 
 def coverage_lines(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int, shown: int = 5) -> list[str]:
-    """How many tasks have a score, and, of the others, what each came to. shown: quarantined tasks that are named."""
+    """Describe the number of scored tasks and the outcome of the others. shown: number of quarantined tasks to name."""
     scored = scores.loc[scores["score"].notna(), "task_id"]
     lines = [f"{scored.nunique()} of {counted(planned, 'task')} scored"]
     without = scores[~scores["task_id"].isin(scored)]
     for status, count in without.groupby("status", sort=True)["task_id"].nunique().items():
         lines.append(f"  {count} without a score: {status}")
     quarantined = attempts[attempts["quarantined"] & ~attempts["task_id"].isin(scores["task_id"])]
-    quarantined = quarantined.drop_duplicates("task_id", keep="last")  # one that was retried has several
+    quarantined = quarantined.drop_duplicates("task_id", keep="last")  # a retried task has several rows
     if len(quarantined):
         lines.append(f"  {len(quarantined)} quarantined (tracebacks in final/attempts.parquet):")
         lines += [f"    {row.task_id}  {row.error}"[:160] for row in quarantined.head(shown).itertuples()]
@@ -127,7 +127,7 @@ def coverage_lines(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int, s
 
 
 def searched_elsewhere(scores: pd.DataFrame, timings: pd.DataFrame) -> str:
-    """That universal shapes were searched in fewer scenes than were asked for; empty where they were not."""
+    """Return a note if universal shapes were searched in fewer scenes than requested, else an empty text."""
     found = timings[timings["stage"] == "search_scenes"].set_index("task_id")["calls"]
     search = scores.drop_duplicates("task_id").set_index("task_id")["search"].loc[found.index]
     requested = search.str.extract(r"_universal(\d+)", expand=False).astype(int) - 1
@@ -141,7 +141,7 @@ def searched_elsewhere(scores: pd.DataFrame, timings: pd.DataFrame) -> str:
 
 
 def rows_by_status(scores: pd.DataFrame) -> Table:
-    """Rows by method and status, and the share of them whose object may stand where it does."""
+    """Count rows by method and status, with the share of rows whose object satisfies the placement constraints."""
     lines = []
     for (method, status), rows in scores.groupby(["method", "status"], sort=False):
         checked = rows[["overlap_ok", "contact_ok"]].dropna()
@@ -151,7 +151,7 @@ def rows_by_status(scores: pd.DataFrame) -> Table:
 
 
 def stage_times(timings: pd.DataFrame, scores: pd.DataFrame) -> Table:
-    """Mean milliseconds and calls a task by mode and stage, and the share of the task's total; one thread each."""
+    """Build the table of mean milliseconds and calls per task by mode and stage, with shares; one thread each."""
     modes = scores.drop_duplicates("task_id").set_index("task_id")["mode"]
     timings = timings.assign(mode=timings["task_id"].map(modes))
     tasks = timings.groupby("mode")["task_id"].nunique()

@@ -1,4 +1,4 @@
-"""A detector's evaluation as tables: those that are printed (metrics, groups of vehicles), and those of its folder."""
+"""Tables of a detector's evaluation: printed tables (metrics, groups of vehicles) and the files of its folder."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _ERRORS = {
 
 
 def summary_table(title: str, rows: Sequence[BreakdownRow]) -> Table:
-    """Over all vehicles of LEVEL_1 within 75 m, IoU 0.7: AP, APH, recall, flips, and errors, with 95 % intervals."""
+    """Build the summary over LEVEL_1 vehicles, 0-75 m, IoU 0.7: AP, APH, recall, flips, errors with 95 % intervals."""
     known = {(row.measure, row.statistic): row for row in rows if row.by == "all"}
     lines = []
     for measure, statistic, name in _MEASURES:
@@ -53,7 +53,7 @@ def summary_table(title: str, rows: Sequence[BreakdownRow]) -> Table:
 
 
 def group_table(rows: Sequence[BreakdownRow]) -> Table:
-    """A line a group: by range, heading, number of points, and kind of vehicle where labels carry one."""
+    """Build the table by group: range, heading, number of points, and kind of vehicle if the labels have one."""
     known = {(row.by, row.group, row.measure, row.statistic): row for row in rows}
     lines = []
     for by, group in dict.fromkeys((row.by, row.group) for row in rows if row.by != "all"):
@@ -80,16 +80,16 @@ _PROTOCOLS = {
 
 
 def metric_table(title: str, metrics: Sequence[Metric]) -> Table:
-    """AP and APH in both views, a line a definition, IoU threshold, subset and range.
+    """Build the table of AP and APH in both views, one line per definition, IoU threshold, subset and range.
 
-    Left out, and in metrics.parquet: Waymo's range bins at IoU 0.5, and its strict counting but for 0-75 m.
+    Omitted but in metrics.parquet: Waymo's range bins at IoU 0.5, and its strict counting except for 0-75 m.
     """
     lines: dict[tuple[object, ...], dict[str, Metric]] = {}
     for metric in metrics:
         key = (metric.protocol, metric.iou_threshold, metric.subset, metric.min_range_m, metric.max_range_m)
         if not _left_out(metric):
             lines.setdefault(key, {})[metric.view] = metric
-    # Definitions stay together, each with IoU 0.7 before 0.5.
+    # Sorted by definition, IoU 0.7 before 0.5.
     ordered = sorted(lines.items(), key=lambda item: (list(_PROTOCOLS).index(str(item[0][0])), -float(str(item[0][1]))))
     cells = []
     for (protocol, iou_threshold, subset, low, high), views in ordered:
@@ -119,7 +119,7 @@ _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 def evaluation_tables(
     detector: str, dataset: str, answers: Sequence[Answer], metrics: Sequence[Metric]
 ) -> dict[str, pa.Table]:
-    """The tables of an evaluation by name, rows in the order of the scenes and of the metrics."""
+    """Build the tables of an evaluation by name; rows follow the order of scenes and metrics."""
     run = {"detector": detector, "dataset": dataset}
     frames = [answer.frame for answer in answers]
     found, truth = [frame.found for frame in frames], [frame.truth for frame in frames]
@@ -149,7 +149,7 @@ def breakdown_tables(
     vehicles: VehicleRows,
     groups: Sequence[BreakdownRow],
 ) -> dict[str, pa.Table]:
-    """The tables of vehicles and of groups by name."""
+    """Build the tables ``vehicles`` and ``breakdown``."""
     run = {"detector": detector, "dataset": dataset}
     matched = np.isfinite(vehicles.score).tolist()
     names = ("row", "range_m", "num_points", "score", "iou_bev", "iou_3d")
@@ -164,13 +164,12 @@ def breakdown_tables(
 
 
 def _table(name: str, columns: Mapping[str, Any], **same: str) -> pa.Table:
-    """A table of columns, and of values that all rows share."""
+    """Build a table of columns, and of constant values shared by all rows."""
     rows = len(next(iter(columns.values())))
     return evaluation_table(name, {**columns, **{key: [value] * rows for key, value in same.items()}})
 
 
 def _values(metric: Metric, num_scenes: int) -> list[dict[str, object]]:
-    """AP and APH."""
     curve = metric.curve
     same = {key: getattr(metric, key) for key in _WHICH}
     same |= {"recall": float(curve.recall.max(initial=0.0)), "num_truth": curve.num_truth, "num_scenes": num_scenes}
@@ -179,11 +178,11 @@ def _values(metric: Metric, num_scenes: int) -> list[dict[str, object]]:
 
 
 def _joined(parts: Sequence[object], *names: str) -> dict[str, Any]:
-    """Arrays of some parts end to end, by their names."""
+    """Concatenate the named arrays of all parts."""
     return {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
 
 
 def _boxes(frames: Sequence[DetectedFrame], parts: Sequence[Found | Truth]) -> dict[str, Any]:
-    """Scene and box of what was found, or was to be found, in each of some frames, a row each."""
+    """Return scene and box columns of the detections or the ground truth of all frames, one row per box."""
     scenes = [frame.scene for frame, part in zip(frames, parts, strict=True) for _ in part.boxes]
     return {"scene": scenes, **dict(zip(_BOX, _joined(parts, "boxes")["boxes"].T, strict=True))}

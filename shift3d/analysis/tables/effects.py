@@ -1,6 +1,6 @@
-"""The measured impact of each effect: how far it moves scores and AUC, against its milliseconds.
+"""Measured impact of each effect: change of scores and AUC against its cost in milliseconds.
 
-Made from the tables of a sweep that ran the same tasks without effects and with one of them at a time
+The tables must be those of a sweep that ran the same tasks without effects and with one effect at a time
 (``sweeps/effects.yaml``): the same vehicle at the same place of the same scene, so that differences are paired.
 """
 
@@ -21,8 +21,8 @@ from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 
+# Fewest scenes for `effects=auto`. Source: our choice: with 8 scenes the 95 % intervals cover in 88 % of the cases.
 LEAST_SCENES = 8
-"""Fewer say too little for `auto` to go by (our choice: at 8 the intervals hold in 88 % of the cases, not in 95 %)."""
 
 _OBJECT = ["vehicle", "dataset", "scene", "detector", "accuracy", *PLACE]
 _PAIR = [*_OBJECT, "mode", "lambda", "alpha", "search", "scored_by", "method", "replicate"]
@@ -36,11 +36,8 @@ MEANINGS = {
 
 @dataclass(frozen=True)
 class EffectImpact:
-    """One effect against none, over the same objects.
-
-    score_change: mean |change| of the baseline's score. auc_baseline, auc_adversarial: change of the mean score.
-    milliseconds: a rendering, more.
-    """
+    """Impact of one effect against no effect, over the same objects. score_change: mean |change| of the baseline's
+    score. auc_baseline, auc_adversarial: change of the mean score. milliseconds: extra time of a rendering."""
 
     effect: str
     scenes: int
@@ -52,19 +49,19 @@ class EffectImpact:
 
     @property
     def measured(self) -> MeasuredImpact:
-        """As `effects=auto` reads it."""
+        """Impact in the form that `effects=auto` reads."""
         change = self.score_change
         return MeasuredImpact(change.mean, change.low, change.high, self.milliseconds)
 
 
 def effect_impacts(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> list[EffectImpact]:
-    """Every effect that ran alone, in the order of the physics.
+    """Compute the impact of every effect that ran alone, in physical order.
 
     Args: scores: the table of ``final/``. milliseconds: see `effect_milliseconds`.
 
-    Raises: InputError: no task ran without effects, or none with one of them.
+    Raises: InputError: no task ran without effects, or none with a single effect.
     """
-    # Before the attacked detector: what others make of an effect says nothing of that one.
+    # Scores of the attacked detector only: the reaction of other detectors says nothing about it.
     own = scores["score"].notna() & (scores["scored_by"] == scores["detector"])
     scored = _by_effect(scores[own & scores["method"].isin(["baseline", "adversarial"])])
     plain = scored[scored["effect"] == ""]
@@ -76,7 +73,7 @@ def effect_impacts(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> l
 
 
 def _by_effect(scores: pd.DataFrame) -> pd.DataFrame:
-    """With what a row's task ran under, and where its vehicle stands: replicates differ in their place alone."""
+    """Add each row's effects and the place of its vehicle; replicates differ only in their place."""
     return with_places(scores).assign(effect=scores["effects"].map(lambda names: "+".join(names)))
 
 
@@ -89,7 +86,7 @@ def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseco
         raise InputError(
             f"no object was scored both with {name} and without", "the sweep", "Run both on the same scenes"
         )
-    # Tasks of several modes, lambdas or alphas share a baseline.
+    # Tasks of several modes, lambdas or alphas share one baseline.
     pairs = pairs[~(pairs["method"].eq("baseline") & pairs.duplicated([*_OBJECT, "method"]))]
     change = pairs["score"] - pairs["score_plain"]
     scene = places_of(pairs)
@@ -106,22 +103,22 @@ def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseco
 
 
 def effect_milliseconds(scores: pd.DataFrame, timings: pd.DataFrame) -> dict[str, float]:
-    """Effect to what a rendering of a baseline costs more: median over the objects that were also rendered without.
+    """Compute the extra time of rendering a baseline by effect: median over objects also rendered without the effect.
 
-    scores, timings: tables of ``final/``. What the effect itself takes, and what else becomes dearer, are both in it.
+    scores, timings: tables of ``final/``. The time includes the effect itself and any slowdown of other stages.
     """
     own = timings[(timings["method"] == "baseline") & timings["stage"].str.match(r"render$|effect_")]
     spent = own.groupby("task_id")["milliseconds"].sum().rename("spent")
     tasks = _by_effect(scores).drop_duplicates("task_id").merge(spent, left_on="task_id", right_index=True)
-    # Not a pivot that keeps empty cells: it would make every combination of places. Of tasks that share a baseline one
-    # has its time, and under another effect that may be another one.
+    # unstack, not a pivot that keeps empty cells: that would create every combination of places. Only one of the tasks
+    # that share a baseline has its time, and under another effect this may be another task.
     of_object = tasks.groupby([*_OBJECT, "effect"])["spent"].mean().unstack("effect")
     of_object = of_object.dropna(subset=[""]) if "" in of_object else of_object.assign(**{"": nan})
     return {str(name): float((of_object[name] - of_object[""]).median()) for name in of_object if name != ""}
 
 
 def effect_table(impacts: Sequence[EffectImpact]) -> Table:
-    """A line an effect."""
+    """Build the table with one line per effect."""
     lines = [
         [
             impact.effect.replace("_", " "),
@@ -142,7 +139,7 @@ def effect_table(impacts: Sequence[EffectImpact]) -> Table:
 
 
 def write_impact(path: Path, sweep: str, impacts: list[EffectImpact]) -> Path:
-    """What ``effects=auto`` reads, as JSON (`effects.applicability.MEASURED_IMPACT` tells where). Returns its path."""
+    """Write the JSON that ``effects=auto`` reads, see `effects.applicability.MEASURED_IMPACT`. Returns its path."""
     rows = {
         impact.effect: {
             "score_change": round(impact.score_change.mean, 5),

@@ -1,4 +1,4 @@
-"""Failure rules of a sweep, found on a part of its objects and tried on the rest."""
+"""Failure rules of a sweep: found on a part of its objects and tested on the rest."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.analysis.results import Sweep
 
+# Quantities that a rule can use: wording, unit, factor and digits.
 _QUANTITIES = {
     "range_m": ("range", " m", 1.0, 0),
     "aspect_deg": ("angle to the line of sight", "°", 1.0, 0),
@@ -29,19 +30,18 @@ _QUANTITIES = {
     "height_m": ("height", " cm", 100.0, 0),
     "clearance_m": ("ground clearance", " cm", 100.0, 0),
 }
-"""Wording, unit, factor and digits of what a rule may be about."""
 _SIZES = ("length_m", "width_m", "height_m", "clearance_m")
+# With fewer scenes chance differences are confirmed too often: at 4 scenes, a third of the rules found in noise.
 _LEAST_SCENES = 8
-"""With fewer a chance difference holds in the other scenes too often: of rules found in noise a third, at 4 scenes."""
 _METHODS = ("baseline", "random", "random_budget", "edited", "adversarial")
 
 
 @dataclass(frozen=True)
 class TriedRule:
-    """A rule and the difference in mean score between objects that it holds for and the others, by group of objects.
+    """Rule with the difference in mean score between matched and other objects, by group of objects.
 
-    Neither are objects that a rule before it in the list holds for. objects: that it holds for, where it was found.
-    tried: by the name of the group, which has objects; None where it has none on one of the sides.
+    Objects that an earlier rule of the list matches are on neither side. objects: number of matched objects in the
+    group where the rule was found. tried: difference by name of each non-empty group; None if one side is empty.
     """
 
     rule: FailureRule
@@ -51,18 +51,18 @@ class TriedRule:
 
     @property
     def confirmed(self) -> bool:
-        """Whether there is a group to try the rule in, and its interval lies below zero in every one."""
+        """True if there is a test group, and the interval lies below zero in every test group."""
         return len(self.tried) > 0 and all(found is not None and found.high < 0 for found in self.tried.values())
 
 
 def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
-    """Rules found on every other scene and every other vehicle, before the attacked detector, and tried on the rest.
+    """Find rules on every other scene and every other vehicle for the attacked detector, and test them on the rest.
 
-    Tried on the same vehicles in the other scenes, on the other vehicles, and on the scores that the other detectors
-    give to all of these; each on the objects that no rule before it holds for.
+    The test groups are the same vehicles in the other scenes, the other vehicles, and the scores that other detectors
+    give to all of these. Each rule is tested on the objects that no earlier rule matches.
 
-    objects: see `rules_objects`; those that `left_out` counts take no part.
-    Raises: InputError where there are too few scenes to find rules on some and try them on others.
+    objects: see `rules_objects`; objects that `left_out` counts are excluded.
+    Raises: InputError: there are too few scenes to find rules on some and test them on others.
     Source: our choice.
     """
     known = _known(objects)
@@ -97,15 +97,12 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
 
 
 def _known(objects: pd.DataFrame) -> list[str]:
-    """What a rule may be about: what differs among the objects, and half of them have at least."""
+    """Select the quantities that differ among the objects and that at least half of the objects have."""
     return [name for name in _QUANTITIES if 2 * objects[name].count() >= len(objects) and objects[name].nunique() > 1]
 
 
 def left_out(objects: pd.DataFrame) -> str | None:
-    """How many objects no rule is asked of, as they lack what others have; None where there is none.
-
-    objects: see `rules_objects`. A shape without a surface has no sizes.
-    """
+    """Describe the objects excluded for missing sizes (no surface), or None. objects: see `rules_objects`."""
     lacking = int(objects[_known(objects)].isna().any(axis=1).sum())
     if not lacking:
         return None
@@ -114,11 +111,11 @@ def left_out(objects: pd.DataFrame) -> str | None:
 
 
 def rules_objects(sweep: Sweep) -> pd.DataFrame:
-    """Every scored baseline, random and adversarial object with all that a rule may be about, a row a detector.
+    """Build the table of scored baseline, random and adversarial objects with all quantities, one row per detector.
 
-    Sizes are NaN where shapes were not measured; a pose task changes none, and its objects have the baseline's. A
-    baseline that tasks share is one object, and so is a vehicle that no step of a search has changed. The vehicle of a
-    shape of another kind is the one that it was drawn as.
+    Sizes are NaN for shapes that were not measured; objects of a pose task have the baseline's sizes. A baseline that
+    tasks share is one object, and so is a vehicle that no search step has changed. The vehicle of a shape of another
+    kind is the vehicle that renders it.
     """
     rows = sweep.scored
     rows = rows[rows["method"].isin(_METHODS)].drop_duplicates(["task_id", "scored_by", "method", "replicate"])
@@ -143,12 +140,12 @@ def _quantities(rows: pd.DataFrame, names: list[str]) -> dict[str, NDArray[np.fl
 
 
 def _difference(objects: pd.DataFrame, holds: NDArray[np.bool_], rows: pd.Series, ours: pd.Series) -> Interval | None:
-    """In mean score, between the objects of some rows that a rule holds for and the others; None where a side is empty.
+    """Compute the difference in mean score between matched and other objects of some rows; None if a side is empty.
 
-    Scenes are draws; where some vehicles are not among those that the rule was found on, vehicles too: what it says of
-    others is known from so many vehicles, in however many scenes they stand.
+    Scenes are random draws. If rows contain vehicles that the rule was not found on, vehicles are draws too: the
+    evidence about new vehicles is limited by their number, however many scenes they appear in.
 
-    holds, rows, ours: (N,) of the objects; ours: of the vehicles that rules are found on.
+    holds, rows, ours: masks (N,) over objects; ours: vehicles that rules are found on.
     """
     inside, part = holds[rows], objects[rows]
     if inside.all() or not inside.any():
@@ -158,7 +155,7 @@ def _difference(objects: pd.DataFrame, holds: NDArray[np.bool_], rows: pd.Series
 
 
 def rules_table(rules: list[TriedRule]) -> Table:
-    """A line a rule: objects that no line above it holds for, what it costs where it was found, and where tried."""
+    """Build the table: one line per rule, its objects that no line above matches, and the difference in each group."""
     lines: list[list[str]] = []
     for tried in rules:
         cells = [_difference_text(found) for found in (tried.found, *tried.tried.values())]
@@ -169,14 +166,14 @@ def rules_table(rules: list[TriedRule]) -> Table:
 
 
 def _difference_text(found: Interval | None) -> str:
-    """Without an interval where fewer than two scenes or vehicles are on a side."""
+    """Format a difference, without the interval if a side has fewer than two scenes or vehicles."""
     if found is None or math.isfinite(found.low):
         return interval_text(found, 2)
     return f"{found.mean:+.2f} (too few)"
 
 
 def rule_text(rule: FailureRule) -> str:
-    """ "range over 32 m, height at most 135 cm"."""
+    """Format a rule, e.g. "range over 32 m, height at most 135 cm"."""
     return ", ".join(_condition_text(condition) for condition in rule.conditions)
 
 

@@ -1,4 +1,4 @@
-"""What a gate found: scores before and after on the same objects, what is worse, and how sure that is."""
+"""Tables of a gate: scores before and after on the same objects, losses, and their statistical certainty."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _NOISES = (0.05, 0.1, 0.2, 0.4)
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure of one role's objects. change: after less before, with its interval over scenes. p_value: one-sided,
-    of a loss, corrected for the number of measures. worse: whether it stops the release."""
+    """One measure of one role's objects. change: after minus before, with its interval over scenes. p_value: one-sided,
+    of a loss, corrected for the number of measures. worse: True if the measure stops the release."""
 
     role: str
     name: str
@@ -38,17 +38,13 @@ class Measure:
 
     @property
     def title(self) -> str:
-        """For the reader."""
+        """Readable name of the measure."""
         return f"{self.name} of {_ROLES[self.role]}"
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two releases on the same objects.
-
-    rows: the table of ``gate.parquet``, worst first: objects that are no longer detected, then by their change of
-    score.
-    """
+    """Two releases on the same objects. rows: table of ``gate.parquet``, worst first: lost, then by change of score."""
 
     rows: pd.DataFrame
     measures: tuple[Measure, ...]
@@ -56,19 +52,19 @@ class Comparison:
 
     @property
     def worse(self) -> bool:
-        """Whether a measure stops the release."""
+        """True if any measure stops the release."""
         return any(measure.worse for measure in self.measures)
 
     def lost(self, role: str) -> int:
-        """Objects of a role that were detected before and are not now."""
+        """Count the objects of a role that were detected before and are not detected after."""
         return int((self._of(role)["detected_before"] & ~self._of(role)["detected"]).sum())
 
     def gained(self, role: str) -> int:
-        """Objects of a role that are detected now and were not before."""
+        """Count the objects of a role that are detected after and were not detected before."""
         return int((~self._of(role)["detected_before"] & self._of(role)["detected"]).sum())
 
     def number(self, role: str) -> int:
-        """Objects of a role."""
+        """Count the objects of a role."""
         return len(self._of(role))
 
     def _of(self, role: str) -> pd.DataFrame:
@@ -76,12 +72,12 @@ class Comparison:
 
     @property
     def detectable(self) -> float | None:
-        """The smallest loss of recall of hard objects that this suite shows in 90 % of releases with as much churn."""
+        """Smallest loss of hard-object recall shown in 90 % of releases with the observed churn, or None."""
         number = self.number("hard")
         return detectable_loss(number, self.gained("hard") / number, _POWERS[1], self.rule.level / len(self.measures))
 
     def sentence(self, against: str) -> str:
-        """The verdict. against: the release that it is compared with."""
+        """Format the verdict. against: name of the release before."""
         counts = f"{self.lost('hard')} hard objects lost, {self.gained('hard')} newly detected"
         if self.worse:
             worst = min((m for m in self.measures if m.worse), key=lambda measure: measure.p_value)
@@ -102,7 +98,7 @@ class Comparison:
 
 
 def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[str, float], rule: Rule) -> Comparison:
-    """Compare scores by object_id. objects: of the suite."""
+    """Compare scores by object_id. objects: table of the suite."""
     rows = objects[["object_id", "role", "task_id", "method", "vehicle", "scene", "dataset", "mode"]].copy()
     rows["range_m"] = np.hypot(objects["x_m"], objects["y_m"])
     rows["object_points"] = objects["object_points"]
@@ -129,7 +125,7 @@ def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[s
 
 
 def measures_table(found: Comparison) -> Table:
-    """What was tested."""
+    """Build the table of the tested measures."""
     lines = [
         [
             measure.title,
@@ -149,7 +145,7 @@ def measures_table(found: Comparison) -> Table:
 
 
 def worst_table(found: Comparison, most: int = 40) -> Table | None:
-    """The objects that got worse, worst first; None where none did."""
+    """Build the table of the objects with a lower score, worst first; None if there is none."""
     rows = found.rows[found.rows["change"] < 0]
     if rows.empty:
         return None
@@ -174,7 +170,7 @@ def worst_table(found: Comparison, most: int = 40) -> Table | None:
 
 
 def power_table(measures: int, level: float) -> Table:
-    """How many hard objects show a loss of recall, by how many change sides without a loss."""
+    """Build the table: number of hard objects that show a loss of recall, by churn without a loss."""
     lines = []
     for churn in _CHURNS:
         needed = [objects_needed(_LOSS, churn, power, level / measures) for power in _POWERS]
@@ -184,7 +180,7 @@ def power_table(measures: int, level: float) -> Table:
 
 
 def simulated_rates(found: Comparison) -> list[Rates]:
-    """How often this gate stops releases simulated around the scores before."""
+    """Compute the rate at which this gate stops releases simulated around the scores before, by noise level."""
     rows = found.rows.sort_values("object_id", kind="stable")
     hard, places = (rows["role"] == "hard").to_numpy(), list(places_of(rows))
     scores = rows["score_before"].to_numpy()
@@ -192,7 +188,7 @@ def simulated_rates(found: Comparison) -> list[Rates]:
 
 
 def simulation_table(rates: Sequence[Rates]) -> Table:
-    """Of `simulated_rates`."""
+    """Build the table of `simulated_rates`."""
     lines = [
         [
             f"{rate.churn:g}",

@@ -1,4 +1,4 @@
-"""The paper's own AUCs, to stand beside ours."""
+"""AUCs published in the paper, for comparison."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 
 from shift3d.analysis.variants import Aucs, Variant
 
+# Copied from the paper's LaTeX: tab:auc_z, tab:auc_theta, tab:sst_auc_z, tab:sst_auc_theta.
 PAPER_AUC = Path(__file__).resolve().parents[1] / "measured" / "paper_auc.json"
-"""Copied from the paper's LaTeX: tab:auc_z, tab:auc_theta, tab:sst_auc_z, tab:sst_auc_theta."""
 
 
 @dataclass(frozen=True)
 class PaperTable:
-    """One table. name: its label in the paper."""
+    """One table of the paper. name: its LaTeX label."""
 
     name: str
     aucs: Aucs
@@ -28,15 +28,12 @@ def _tables() -> dict[tuple[str, str, str], PaperTable]:
 
 
 def paper_table(mode: str, detector: str, scored_by: str) -> PaperTable | None:
-    """What the paper found for a detector that was attacked and one that scores; None where it has no such table.
-
-    Beside the small SST stands the paper's SST.
-    """
+    """Return the paper's table for attacked and scoring detector, or None; the small SST takes the paper's SST."""
     return _tables().get((mode, detector.removesuffix("_small"), scored_by.removesuffix("_small")))
 
 
 def paper_beside(variant: Variant) -> PaperTable | None:
-    """The paper's table of a variant's vehicles, found by a search as the paper's, a descent over every code."""
+    """Return the paper's table of a variant's vehicles; None unless the search is a descent over every code."""
     found = paper_table(variant.mode, variant.detector, variant.scored_by) if variant.search == "descent" else None
     known = {name for row in found.aucs.by_method.values() for name in row} if found else set()
     return found if known & set(variant.vehicles) else None

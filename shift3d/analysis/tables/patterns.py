@@ -1,4 +1,4 @@
-"""What attacks change as a rule: measures of meshes and poses, in centimetres and degrees, over all solutions."""
+"""Patterns of attacks: mean changes of mesh measures and poses over all solutions, in centimetres and degrees."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from shift3d.analysis.variants import differing_settings, search_label
 from shift3d.evaluation.failure_rules import aspect_deg
 
 _GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings"]
+# Wording, unit and digits of each mesh measure.
 NAMES = {
     "length_cm": ("length", "cm", 0),
     "width_cm": ("width", "cm", 0),
@@ -30,7 +31,6 @@ NAMES = {
     "volume_m3": ("volume", "m³", 2),
     "pieces": ("pieces", "", 0),
 }
-"""Wording, unit and digits of what is measured on a mesh."""
 _POSE = {
     "forward_cm": ("forward", "cm", 0),
     "left_cm": ("to the left", "cm", 0),
@@ -40,17 +40,15 @@ _POSE = {
     "aspect_deg": ("angle to the line of sight", "°", 0),
     "range_m": ("range", "m", 1),
 }
+# Smallest change that counts as less or more, by unit.
 _SHOWN_RATIO = {"cm": 1.0, "°": 1.0, "m³": 0.01, "m": 0.01, "": 0.5}
-"""A change is counted from here on, by its unit."""
-_LEAST_SCENES = 6  # with fewer, drawing signs for scenes cannot come below 0.05, and resampling claims too much
+_LEAST_SCENES = 6  # with fewer, a sign-flip test over scenes cannot reach p < 0.05, and bootstraps are too optimistic
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """How a measure changes over solutions. before: the baselines' mean. change: mean, with scenes redrawn.
-
-    size: mean absolute change. fell, rose: shares of the solutions. scenes: how many they are of.
-    """
+    """Change of a measure over solutions. before: mean of the baselines. change: mean, scenes redrawn. size: mean
+    absolute change. fell, rose: shares of the solutions. scenes: number of distinct places."""
 
     name: str
     unit: str
@@ -65,20 +63,19 @@ class Pattern:
 
     @property
     def clear(self) -> bool:
-        """Whether the interval leaves out zero, of enough scenes."""
+        """True if the interval excludes zero and there are enough scenes."""
         return self.scenes >= _LEAST_SCENES and (self.change.low > 0.0 or self.change.high < 0.0)
 
 
 def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[str, list[Pattern]]]:
-    """Patterns by search, lambda, step size, detector, and accuracy and effects where these differ, in the order of the
-    tables.
+    """Group patterns by search, lambda, alpha, detector, and accuracy and effects if they differ, in table order.
 
-    patterns, scores: of ``final/``. Shapes are those of `patterns`; poses, which every sweep has, those of `scores`.
-    A measure that either mesh does not have leaves the solution out of its line.
+    patterns, scores: tables of ``final/``. Shapes come from `patterns`, poses, which every sweep has, from `scores`. A
+    solution is left out of a measure's line if either mesh lacks the measure.
     """
     own = scores[(scores["scored_by"] == scores["detector"]) & (scores["replicate"] == 0) & scores["score"].notna()]
     found: dict[str, list[Pattern]] = {}
-    if "effects" in scores:  # meshes know nothing of them
+    if "effects" in scores:  # the mesh table has no effects
         effects = scores.drop_duplicates("task_id").set_index("task_id")["effects"]
         patterns = patterns.assign(effects=[effects.get(task, ()) for task in patterns["task_id"]])
     for rows, changes in ((patterns, _shape_changes), (own[own["mode"] != "shape"], _pose_changes)):
@@ -131,7 +128,7 @@ def _patterns(changes: Changes, places: pd.Series) -> list[Pattern]:
 
 
 def patterns_table(title: str, patterns: list[Pattern]) -> Table:
-    """A line a measure: baselines' mean, change with its interval, its size, and shares that fell and rose."""
+    """Build the table by measure: baselines' mean, change with interval, size, shares that fell and rose."""
     lines = []
     for found in patterns:
         change = interval_text(found.change, found.digits + 1)

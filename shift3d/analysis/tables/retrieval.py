@@ -1,4 +1,4 @@
-"""Vehicles fitted to what scenes show of them, and what those do that are like a sweep's shapes."""
+"""Scores of real vehicles, fitted to the points of scenes, that resemble a sweep's adversarial shapes."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _KEY = ["task_id", "scored_by"]
 
 
 def pool_table(pool: pd.DataFrame) -> Table:
-    """A line a number of points: how many were fitted and flagged, how far points and truth lie from the shapes.
+    """Build the table of the vehicle pool by number of points: fitted and flagged vehicles, residual and shape error.
 
-    pool: of ``final/``. Errors are over everything that was fitted, flagged or not; medians.
+    pool: the table of ``final/``. Errors are medians over all fitted vehicles, flagged or not.
     """
     fitted = pool[pool["status"] == "fitted"]
     lines = [_pool_line("all", fitted)]
@@ -52,10 +52,10 @@ def _pool_line(name: str, rows: pd.DataFrame) -> list[str]:
 
 
 def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
-    """A row a solution and detector that the paper's rule does not exclude, with `place` and the controls' means.
+    """Select one row per solution and detector that the paper's rule does not exclude, with `place` and control means.
 
-    retrieved: of ``final/``. control, control_in_log: mean scores of the controls, where there are some. log_place:
-    that of the retrieved vehicle's own scene.
+    retrieved: the table of ``final/``. control, control_in_log: mean scores of the controls, if there are any.
+    log_place: place of the retrieved vehicle's own scene.
     """
     rows = retrieved[~retrieved["excluded"].astype(bool)]
     controls = controls_of(retrieved).groupby(_KEY)[["score", "pool_score"]].mean()
@@ -65,12 +65,12 @@ def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
 
 
 def controls_of(retrieved: pd.DataFrame) -> pd.DataFrame:
-    """A row a control and detector, of the solutions of `kept`."""
+    """Select one row per control and detector, for the solutions of `kept`."""
     return retrieved[(retrieved["role"] == "control") & ~retrieved["excluded"].astype(bool)]
 
 
 def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
-    """The vehicle of the pool that a row of ``retrieved`` is about. Raises InputError: the pool has none such."""
+    """Return the pool vehicle of a row of ``retrieved``. Raises InputError: the pool lacks this vehicle."""
     key = ["dataset", "scene", "label"]
     found = pool[(pool[key] == [row[f"pool_{name}"] for name in key]).all(axis=1)]
     if found.empty:
@@ -81,7 +81,7 @@ def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
 
 @dataclass(frozen=True)
 class Kin:
-    """Natural kin of one search before one scoring detector: rows of `kept`, of so many solutions."""
+    """Natural kin (nearest real vehicles) of one search. rows: see `kept`. solutions: number of all solutions."""
 
     label: str
     scored_by: str
@@ -95,14 +95,14 @@ class Kin:
 
     @property
     def means(self) -> dict[str, float]:
-        """Mean scores by what stands there; of controls NaN where there are none."""
+        """Mean scores of baseline, adversarial shape, retrieved vehicle and controls; NaN for missing controls."""
         columns = {"baseline": "score_baseline", "shape": "score_solution", "retrieved": "score"}
         means = {name: float(self.rows[column].mean()) for name, column in columns.items()}
         return means | {"controls": float(self.matched["control"].mean())}
 
 
 def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
-    """The kin that the paper's rule does not exclude, by search and scoring detector. retrieved: of ``final/``."""
+    """Group the kin that the paper's rule keeps by search and scoring detector. retrieved: the table of ``final/``."""
     retrieved = retrieved.assign(settings=differing_settings(retrieved, ("accuracy",)))
     solutions = retrieved[retrieved["role"] == "retrieved"]
     counts = solutions.groupby(_GROUP, dropna=False).size()
@@ -114,11 +114,11 @@ def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
 
 
 def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
-    """A line a search and scoring detector: mean scores, and differences with their intervals.
+    """Build the table of mean scores and paired differences with intervals, one line per search and scoring detector.
 
-    Differences are taken solution by solution. Draws are the scenes of the solutions and those that the retrieved
-    vehicles are of: one vehicle may be the nearest to many shapes. "in the log": before the pool's detector where the
-    vehicles stand, scenes of the pool redrawn. None where nothing was retrieved.
+    Differences are per solution. Both the solutions' scenes and the retrieved vehicles' scenes are random draws,
+    because one vehicle may be the nearest to many shapes. "in the log": scores of the pool's detector at the vehicles'
+    original places, scenes of the pool redrawn. Returns None if nothing was retrieved.
     """
     if retrieved.empty:
         return None

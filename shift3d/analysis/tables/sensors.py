@@ -1,4 +1,4 @@
-"""The same vehicles elsewhere: in scenes that they were not searched in, and under the beams of other sensors."""
+"""Scores of the same vehicles in other scenes than those of the search, and under the beams of other sensors."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ _TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings", 
 
 
 def transfer_table(transfers: pd.DataFrame) -> Table | None:
-    """A line a mode, search and scoring detector: placements, AUC before and after, and their ratio with its interval.
+    """Build the table of placements, AUC before and after, and their ratio, by mode, search and scoring detector.
 
-    transfers: of ``final/``. Means are those of the vehicles' means; intervals redraw whole scenes, those that shapes
-    were searched in and those that they were put into. A placement on which the shape breaks a constraint counts as any
-    other. None where nothing was put into another scene.
+    transfers: the table of ``final/``. Means are over the vehicles' means. Intervals redraw whole scenes, of the search
+    and of the transfer. Placements on which the shape breaks a constraint count. Returns None without transfers.
     """
     placed = transfers[transfers["score"].notna()]
     if placed.empty:
@@ -40,8 +39,8 @@ def _vehicle_mean(rows: pd.DataFrame) -> float:
     return float(rows.groupby("vehicle")["score"].mean().mean())
 
 
+# A vehicle with a lower score is missed. Source: the score from which the public Waymo config shows boxes.
 MISSED_BELOW = 0.1
-"""A vehicle with a lower score is missed. Source: the score that the public Waymo config shows boxes from."""
 _BEAMS = r"-beams_([a-z0-9_]+)"
 _GROUP = ["mode", "method", "detector", "scored_by", "search", "settings"]
 _PAIR = ["place", "street", "vehicle", "lambda", "alpha", "accuracy", "effects", "replicate", *PLACE]
@@ -49,18 +48,18 @@ _METHODS = ("baseline", "adversarial")
 
 
 def paired_scores(scores: pd.DataFrame) -> dict[tuple[str, ...], tuple[pd.DataFrame, pd.DataFrame]]:
-    """Scores and points of objects by sensor: (mode, method, detector, scored_by, search, settings) to two tables.
+    """Pair scores and points of objects by sensor: (mode, method, detector, scored_by, search, settings) to two tables.
 
-    scores: of ``final/``. settings: accuracy and effects in words, where they differ. A line of a table is one object
-    of one street, a column a sensor's beams, in the order in which they were planned. Baselines are one object; an
-    adversarial one was searched under its own beams.
+    scores: the table of ``final/``. settings: accuracy and effects in words, if they differ. A table has one line per
+    object of a street, and one column per sensor's beams, in planned order. A baseline is the same object under every
+    sensor; each adversarial object was searched under its own beams.
     """
     rows = scores[scores["method"].isin(_METHODS)]
     settings = differing_settings(rows, ("accuracy", "effects"))
     effects = rows["effects"].map(lambda names: "+".join(names))
     rows = with_places(rows).assign(settings=settings, effects=effects)
     rows = rows.assign(beams=rows["scene"].str.extract(_BEAMS, expand=False))
-    # Searches of several lambdas or alphas have one baseline.
+    # Searches with several lambdas or alphas share one baseline.
     rows = rows.assign(**{name: rows[name].mask(rows["method"] == "baseline", -1.0) for name in ("lambda", "alpha")})
     rows = rows[rows["beams"].notna() & rows["score"].notna()]
     if rows["beams"].nunique() < 2:
@@ -78,9 +77,9 @@ def paired_scores(scores: pd.DataFrame) -> dict[tuple[str, ...], tuple[pd.DataFr
 
 
 def sensor_table(scores: pd.DataFrame) -> Table | None:
-    """A line an object's kind, a scoring detector and a sensor, paired with the first sensor of the plan.
+    """Build the table by object type, scoring detector and sensor, paired with the first sensor of the plan.
 
-    Differences are object by object, intervals redraw whole streets. None where a sweep has one sensor's beams alone.
+    Differences are per object; intervals redraw whole streets. Returns None if a sweep has only one sensor's beams.
     """
     lines = []
     for (mode, method, detector, scored_by, search, settings), (score, points) in paired_scores(scores).items():
@@ -92,7 +91,7 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
                 continue
             missed, missed_first = both[beams] < MISSED_BELOW, both[first] < MISSED_BELOW
             apart = both[beams] - both[first]
-            places = list(both.index.get_level_values("place"))  # a street in rain and in fog is one draw
+            places = list(both.index.get_level_values("place"))  # the same street in rain and in fog is one draw
             difference = "-" if beams == first else interval_text(mean_interval(apart, places), 3)
             lines.append(
                 [

@@ -1,4 +1,4 @@
-"""Whether the solutions are stable and robust, by method: what a command prints and a page shows."""
+"""Stability and robustness of solutions by method, as printed text and table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _GROUP = ["method", "mode", "lambda", "scored_by", "settings"]
 
 
 def stability_lines(verification: pd.DataFrame) -> str:
-    """The printed table, and what was unstable and why. verification: the table of ``final/``."""
+    """Format the printed table, with unstable solutions and causes. verification: the table of ``final/``."""
     parts = [str(stability_table(verification))]
     if unstable := unstable_lines(verification, shown=10):
         count = int((~verification["stable"]).sum())
@@ -33,7 +33,7 @@ def stability_lines(verification: pd.DataFrame) -> str:
 
 
 def stability_table(verification: pd.DataFrame) -> Table:
-    """Solutions scored again: a line a method, mode, lambda, scoring detector and other settings that differ."""
+    """Build the table of verified solutions by method, mode, lambda, scoring detector and other differing settings."""
     alpha = [f"alpha {value:g}" for value in verification["alpha"]]
     settings = differing_settings(verification.assign(alpha=alpha), ("search", "alpha", "detector", "accuracy"))
     lines = []
@@ -51,7 +51,7 @@ def stability_table(verification: pd.DataFrame) -> Table:
 
 
 def unstable_lines(verification: pd.DataFrame, shown: int | None = None) -> list[str]:
-    """What is unstable and why, a line a solution. shown: at most so many, and how many more there are."""
+    """Describe unstable solutions and causes, one line each. shown: maximum number of lines; the rest is counted."""
     unstable = verification[~verification["stable"]]
     lines = [
         f"{row.task_id}  {row.vehicle} {row.scene} {row.method} {row.replicate}: {row.score:.3f}, "

@@ -1,4 +1,4 @@
-"""Tables of scores: areas under the curves with the paper's beside them, by sensor, and paired differences."""
+"""Sections with scores: AUCs beside the paper's, comparison of sensors, and paired differences."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _LEAD = (
 
 
 def sensors(sweep: Sweep) -> list[Block]:
-    """The section; nothing where a sweep has the beams of one sensor alone."""
+    """Build the section that compares sensors; empty if a sweep has only one sensor's beams."""
     table = sensor_table(sweep.scores)
     return [Paragraph(_LEAD), table] if table else []
 
 
-_SHOWN = 4  # variants whose tables are in sight; those of the others unfold
+_SHOWN = 4  # number of variants whose tables are not folded
 _MEANINGS = {
     "AUC": "area under recall(t) = P(score > t), t from 0 to 1: exactly the mean score of the best box within 5 m of "
     "the inserted vehicle, 0 where there is none",
@@ -43,7 +43,7 @@ _MEANINGS = {
 
 
 def auc(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
-    """The section: a table a variant."""
+    """Build the AUC section, with one table per variant."""
     if not any(len(variant.rows) for variant in found):
         return [missing("No task has a score.")]
     lead = Paragraph("Lower means that the detector misses more of these vehicles.")
@@ -55,7 +55,7 @@ def auc(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
 
 
 def auc_blocks(variant: Variant) -> list[Block]:
-    """The table in full, and how many shapes are natural."""
+    """Build the full table of a variant, with the number of natural shapes."""
     blocks: list[Block] = [auc_table(variant, in_full=True)]
     if natural := natural_sentence(variant):
         blocks.append(Paragraph(natural))
@@ -80,7 +80,7 @@ _PAIRED_LEAD = (
 
 
 def differences(found: Sequence[Variant]) -> list[Block]:
-    """The section: a table a variant, folded."""
+    """Build the section of paired differences, with one folded table per variant."""
     tables = [(variant, table) for variant in found if (table := _differences_table(variant))]
     folds: list[Block] = [Fold(f"Paired differences: {variant.label}", [table]) for variant, table in tables]
     return [Paragraph(_PAIRED_LEAD), *(folds or [missing("No task has the scores of two methods.")])]

@@ -1,4 +1,4 @@
-"""Where the score falls: bird's-eye-view grids around the ego vehicle."""
+"""Bird's-eye-view grids of the score's fall around the ego vehicle."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import Variant
 from shift3d.store.schemas import GROUP_COLUMNS
 
-_SHOWN = 2  # grids in sight; the others fold
+_SHOWN = 2  # number of grids that are not folded
 _SIDES_M = {"x0": -2.4, "x1": 2.4, "y0": -1.0, "y1": 1.0}
+# Rectangle of the ego vehicle around the sensor, with the size of a common car.
 _EGO = {"type": "rect", **_SIDES_M, "line": {"color": "#2f8fc9", "width": 2}, "fillcolor": "#2f8fc9"}
-"""The ego vehicle as it is drawn around the sensor: as large as a usual car."""
 _LEAD = (
     "Mean reduction of the score, baseline minus adversarial, over all vehicles, by where the baseline stood. Sensor "
     "frame seen from above: x forward, to the right of the picture. Cells with a cross had no placement. The rectangle "
@@ -32,13 +32,13 @@ _TRANSFER_LEAD = (
 
 
 def bev(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
-    """The section: a grid a variant, the later ones folded."""
+    """Build the section with one grid per variant, later ones folded."""
     nothing = "No adversarial vehicle was scored: there is no grid."
     return _grids(sweep.bev, found, "bev", _LEAD, nothing)
 
 
 def transfer_grid(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
-    """The section: what shapes do in scenes and at places that they were not made for."""
+    """Build the section about shapes in scenes and at places other than those of their search."""
     nothing = "No shape was put into another scene by this sweep."
     table = transfer_table(sweep.transfers)
     return [*_grids(sweep.bev_transfer, found, "transfer", _TRANSFER_LEAD, nothing), *([table] if table else [])]
@@ -55,10 +55,10 @@ def _grids(grid: pd.DataFrame, found: Sequence[Variant], key: str, lead: str, no
 
 
 def pooled_cells(grid: pd.DataFrame, variant: Variant) -> pd.DataFrame:
-    """Cells (cell_x_m, cell_y_m, cell_size_m, scores, mean_reduction) of a variant, vehicles pooled by their scores."""
+    """Average cells over vehicles by scores: cell_x_m, cell_y_m, cell_size_m, scores, mean_reduction."""
     rows = grid[(grid["method"] == "adversarial") & (grid["scores"] > 0)]
     chosen = variant.auc[variant.auc["method"] == "adversarial"][list(GROUP_COLUMNS)].drop_duplicates()
-    if rows.empty or chosen.empty:  # columns of nothing have no types to merge on
+    if rows.empty or chosen.empty:  # columns of empty frames have no types to merge on
         return rows.iloc[:0]
     rows = rows.merge(chosen, on=list(GROUP_COLUMNS), how="inner")
     rows = rows.assign(weighted=rows["mean_reduction"] * rows["scores"])
@@ -84,7 +84,7 @@ def _plot(variant: Variant, cells: pd.DataFrame, key: str) -> Plot:
 
 
 def _heat(cells: pd.DataFrame, size: float, reach: float) -> list[dict[str, Any]]:
-    """The cells by their reduction, and crosses where there is none."""
+    """Create a heat map of the cells' reduction, with crosses at empty cells."""
     count = round(2 * reach / size)
     values, texts = np.full((count, count), np.nan), np.full((count, count), "", dtype=object)
     for cell in cells.itertuples():
@@ -95,7 +95,7 @@ def _heat(cells: pd.DataFrame, size: float, reach: float) -> list[dict[str, Any]
     heat = {
         **{"type": "heatmap", "x": centres, "y": centres, "z": values, "xgap": 1, "ygap": 1},
         **{"text": texts.tolist(), "texttemplate": "%{text}", "hoverongaps": False},
-        # Fixed ends, so that grids of different sweeps can be compared by eye.
+        # Fixed ends make grids of different sweeps comparable by eye.
         **{"zmin": -1, "zmax": 1, "colorscale": [[0, "#2166ac"], [0.5, "#e8e8e8"], [1, "#b2182b"]]},
         "colorbar": {"orientation": "h", "thickness": 12, "y": -0.16, "yanchor": "top"},
         "hovertemplate": "x %{x:.0f} m, y %{y:.0f} m: %{z:+.3f}<extra></extra>",

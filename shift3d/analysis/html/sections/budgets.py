@@ -1,4 +1,4 @@
-"""The AUC against the budget of naturalness, beside the best of as many random draws."""
+"""Section with the AUC against the naturalness budget, beside the best of equally many random draws."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MARKED = ("#d55e00", "#2f8fc9", "#2c9668", "#9467bd", "#b97a00", "#7d7d7d")
 
 
 def budgets(found: Sequence[Variant]) -> list[Block]:
-    """The section; nothing where no search ran under two budgets."""
+    """Build the section; empty if no search ran under two budgets."""
     curves, table = budget_curves(found), budget_table(found)
     if table is None:
         return []
@@ -35,7 +35,7 @@ def budgets(found: Sequence[Variant]) -> list[Block]:
 
 
 def _traces(curve: BudgetCurve, colour: str) -> list[dict[str, Any]]:
-    """A line a method, with bars. The solution's is solid, that of the random draws dashed."""
+    """Create one line with error bars per method: solid for solutions, dashed for random draws."""
     traces = []
     for method in ("random_budget", "adversarial"):
         known = {budget: found for budget in curve.variants if (found := curve.ratio(budget, method)) is not None}

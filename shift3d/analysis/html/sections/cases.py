@@ -1,4 +1,4 @@
-"""The hard cases: what fooled the detector most, seen from all sides, measured, and how to take it away."""
+"""Section of the hard cases: the largest score falls in 3D and from above, with measures and an export command."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from shift3d.wording import counted
 
 
 def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> list[Block]:
-    """The section: the most harmful solutions rendered again. What cannot be loaded is named, not raised."""
+    """Build the section: the most harmful solutions rendered again. A case that cannot be loaded is only named."""
     unnatural = sweep.unnatural
     chosen = hardest(sweep.scores, count, unnatural)
     if not chosen:
@@ -41,7 +41,6 @@ def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> list[Block]:
 
 
 def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
-    """What became of the unnatural shapes."""
     shown = sum(case.task_id in unnatural for case in chosen)
     if not unnatural:
         return ""
@@ -77,7 +76,7 @@ def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
 
 
 def what_changed(case: Case, before: Rendered, after: Rendered) -> str:
-    """Shape, place or both, in words."""
+    """Describe the change of shape, place or both."""
     if case.mode == "pose":
         return f"What changed: {_moved(before, after)}; its shape is the baseline's."
     shape = in_words(before.measures, after.measures)
@@ -91,7 +90,7 @@ def _settings(case: Case, spec: TaskSpec) -> str:
 
 
 def _moved(before: Rendered, after: Rendered) -> str:
-    """The change of pose in words, in the vehicle's own axes."""
+    """Describe the change of pose in the vehicle's own axes."""
     shift, yaw = after.theta[:2] - before.theta[:2], before.theta[3]
     forward = 100.0 * float(shift @ [math.cos(yaw), math.sin(yaw)])
     left = 100.0 * float(shift @ [-math.sin(yaw), math.cos(yaw)])
@@ -114,7 +113,7 @@ def _measures(case: Case, number: int, before: Rendered, after: Rendered) -> lis
 
 
 def _scored_again(case: Case, before: Rendered, after: Rendered) -> str:
-    """Whether the pictures show the scores that the sweep reported."""
+    """State whether the pictures reproduce the sweep's scores."""
     off = max(abs(before.score - case.before), abs(after.score - case.after))
     if off <= 1e-6:
         return f"Task {case.task_id}. Scored again for this page: the sweep's scores to 1e-6."
@@ -123,7 +122,7 @@ def _scored_again(case: Case, before: Rendered, after: Rendered) -> str:
     return f"Task {case.task_id}. {scores}{why}"
 
 
-# Sentences for less and more, and from which change on a change is named: below it the mesh's own grid speaks.
+# Phrases for less and more, and the least change to mention; smaller changes are artefacts of the mesh grid.
 _WORDS = {
     "length_cm": ("{} cm shorter", "{} cm longer", 1.0),
     "height_cm": ("{} cm lower", "{} cm higher", 1.0),
@@ -137,7 +136,7 @@ _WORDS = {
 
 
 def change_lines(before: Measures, after: Measures) -> list[list[str]]:
-    """Lines of a table: measure, baseline, adversarial, change; to a tenth at least, so that a small change shows."""
+    """Build table lines: measure, baseline, adversarial, change, with a decimal at least to show small changes."""
     lines = []
     for field, (name, unit, least_digits) in NAMES.items():
         digits = max(1, least_digits) if unit else least_digits
@@ -157,7 +156,7 @@ def _with_unit(value: float | None, unit: str, digits: int) -> str:
 
 
 def in_words(before: Measures, after: Measures) -> str:
-    """What changed, in a sentence."""
+    """Describe the changes of measures in a sentence."""
     parts = []
     for field, (less, more, least) in _WORDS.items():
         old, new = getattr(before, field), getattr(after, field)

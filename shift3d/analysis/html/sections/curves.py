@@ -1,4 +1,4 @@
-"""Threshold-recall curves with bands."""
+"""Section of the threshold-recall curves with bands."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _LEAD = (
 
 
 def thresholds() -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Where the page's curves have points, (201,): every 0.005 from 0 to 1."""
+    """Return the score thresholds of the curves, (201,): every 0.005 from 0 to 1."""
     return np.arange(201) / 200.0
 
 
 def curves(found: Sequence[Variant]) -> list[Block]:
-    """The section: a figure a vehicle and one of all, the first variant in sight."""
+    """Build the section: one figure per vehicle and one for all; only the first variant is not folded."""
     if not any(len(variant.rows) for variant in found):
         return [missing("No task has a score.")]
     parts = []
@@ -54,7 +54,7 @@ def _panel(number: int, variant: Variant, name: str, rows: pd.DataFrame) -> Plot
 
 @dataclass(frozen=True)
 class RecallCurve:
-    """A curve to draw. scores, places: (N,) of its objects. colour, dash, width: of its line."""
+    """Curve to draw. scores, places: (N,) of its objects. colour, dash, width: of its line."""
 
     name: str
     scores: pd.Series
@@ -65,8 +65,7 @@ class RecallCurve:
 
 
 def recall_plot(key: str, curves: Iterable[RecallCurve], label: str, caption: str) -> Plot:
-    """Threshold-recall curves with their bands, and their areas in the legend and the label; those of no object are
-    left out."""
+    """Plot threshold-recall curves with bands; legend and label give their areas. Empty curves are left out."""
     traces: list[dict[str, Any]] = []
     areas, at = [], thresholds().astype(np.float32)
     for curve in curves:

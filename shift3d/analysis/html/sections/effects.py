@@ -1,4 +1,4 @@
-"""The measured impact of effects, where the sweep ran with and without them."""
+"""Section of the measured impact of effects, for sweeps that ran with and without them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shift3d.errors import InputError
 
 
 def effects(sweep: Sweep) -> list[Block]:
-    """The section; one line where the sweep has no pairs with and without one effect."""
+    """Build the section, or one line if the sweep has no pairs with and without one effect."""
     try:
         impacts = effect_impacts(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
     except InputError as error:
@@ -22,7 +22,7 @@ def effects(sweep: Sweep) -> list[Block]:
 
 
 def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
-    """The figure, the table and what its columns mean."""
+    """Build figure, table and meanings of the columns."""
     alt = "; ".join(f"{each.effect}: {each.score_change.mean:.3f} for {each.milliseconds:.0f} ms" for each in impacts)
     return [
         Paragraph("The same vehicles at the same places, without effects and with one at a time."),

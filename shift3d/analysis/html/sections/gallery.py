@@ -1,4 +1,4 @@
-"""Solutions drawn at random, whatever became of them."""
+"""Section of randomly drawn solutions, whatever their outcome."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.sweep.planning.tasks import PlannedTask
 
 _COUNT = 50  # tiles
-_RESOLUTION = 72  # of the meshes: 7 cm
+_RESOLUTION = 72  # mesh resolution: 7 cm
+# Colours of baseline, adversarial and retrieved vehicles.
 THREE_RGB = ((0.55, 0.57, 0.60), (0.86, 0.42, 0.12), (0.18, 0.56, 0.79))
-"""Of baseline, adversarial and retrieved vehicles."""
 
 
 def gallery(sweep: Sweep, loaded: Loaded) -> list[Block]:
-    """The section: a tile a task, whatever became of it. What cannot be drawn is named, not raised."""
+    """Build the section: one tile per task, whatever its outcome. A tile that cannot be drawn shows the reason."""
     positions = random_positions(len(sweep.plan.tasks), _COUNT, sweep.plan.spec_hash)
     scored = {case.task_id: case for case in falls(sweep.scores)}
     tiles = []
@@ -59,7 +59,7 @@ def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loade
 
 
 def drawn(draw: Callable[[], bytes], alt: str, caption: str) -> Picture:
-    """A picture; in its place why there is none, where something cannot be loaded."""
+    """Draw a picture, or show the reason in its place if data cannot be loaded."""
     try:
         return Picture(draw(), alt, caption)
     except InputError as error:
@@ -67,7 +67,7 @@ def drawn(draw: Callable[[], bytes], alt: str, caption: str) -> Picture:
 
 
 def _pair(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> bytes:
-    """Baseline and adversarial vehicle side by side, each from where the sensor stands, a little from above."""
+    """Render baseline and adversarial vehicle side by side, seen from the sensor, slightly from above."""
     meshes, towards_sensor = [], []
     for row in sweep.pair_of(task.spec.task_id):
         theta = row[list(POSE_COLUMNS)].to_numpy(dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The result in a sentence or two: how far the AUC falls, and how many of the shapes are natural."""
+"""Section with the result in one or two sentences: fall of the AUC, and number of natural shapes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ _SHOWN = 3
 def in_short(
     found: Sequence[Variant], caveat: str | None = None, unplaced: str | None = None, further: str | None = None
 ) -> list[Block]:
-    """A sentence for each variant that the attacked detector scores itself; the others folded.
+    """Build one sentence for each variant that the attacked detector scores; other variants are folded.
 
-    caveat: what to know before reading AUCs. unplaced: what is told where no vehicle found a place. further: what to
-    run after this.
+    caveat: warning before the AUCs. unplaced: text if no vehicle found a place. further: suggested next command.
     """
     known = [variant for variant in found if len(variant.rows)]
     if not known:
@@ -35,7 +34,7 @@ def in_short(
 
 
 def headline(variant: Variant) -> str:
-    """The fall of the mean AUC, its ratio, the paper's, and in the same sentence how many shapes are unnatural."""
+    """Describe the fall of the mean AUC, its ratio, the paper's ratio, and the number of unnatural shapes."""
     rows, baseline = with_baseline(variant.rows, "adversarial")
     vehicles = [name for name in variant.vehicles if (baseline["vehicle"] == name).any()]
     before = aucs_of_scores(baseline).mean("baseline", vehicles)
@@ -53,7 +52,7 @@ def headline(variant: Variant) -> str:
 
 
 def _naturalness(variant: Variant) -> str:
-    """How many of the shapes are unnatural, and the ratio over the others."""
+    """Describe the number of unnatural shapes, and the ratio over the natural ones."""
     if variant.mode == "pose":
         return ""
     tasks = variant.rows.drop_duplicates("task_id")

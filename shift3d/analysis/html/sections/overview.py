@@ -1,4 +1,4 @@
-"""What was run: settings, versions, hyper-parameters that were chosen, time, and what failed or is missing."""
+"""Sections about the run: settings, versions, chosen hyper-parameters, time, failures and missing results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _RULE = (
 
 
 def choices(sweep: Sweep) -> list[Block]:
-    """The section: a table a parameter, and a sentence a choice."""
+    """Build the section of choices: one table per parameter, one sentence per choice."""
     if sweep.choices.empty:
         return [missing("This sweep holds no two values of alpha or lambda.")]
     why = Fold("Why each was chosen", [Items(reasons(sweep.choices))])
@@ -30,10 +30,10 @@ def choices(sweep: Sweep) -> list[Block]:
 
 
 def coverage(sweep: Sweep) -> list[Block]:
-    """The section: tasks scored, without a score by reason, quarantined, and attempts that failed."""
+    """Build the section of coverage: scored tasks, unscored ones by reason, quarantined tasks, and failed attempts."""
     planned = len(sweep.plan.tasks)
     lines = [line.strip() for line in coverage_lines(sweep.scores, sweep.attempts, planned, shown=20)]
-    # A lost worker or machine ends one call, and each of the call's tasks has a row with the call's start and time.
+    # A lost worker or machine ends one call; each task of the call has a row with the call's start and duration.
     failed = sweep.attempts[sweep.attempts["outcome"] != "done"].drop_duplicates(["worker", "started_unix_s"])
     if len(failed):
         lines.append(f"{counted(len(failed), 'attempt')} failed, in {failed['seconds'].sum():.0f} s")
@@ -48,7 +48,7 @@ _SETTINGS = ("steps", "alpha", "lambda", "random_replicates", "noise_replicates"
 
 
 def overview(sweep: Sweep) -> list[Block]:
-    """The section."""
+    """Build the section of settings, axes, cost and versions."""
     return [Terms(_facts(sweep)), _axes(sweep.plan.axes), *_cost(sweep), _versions(sweep)]
 
 
@@ -78,7 +78,6 @@ def _facts(sweep: Sweep) -> dict[str, str]:
 
 
 def _counts(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
-    """How many tasks there are of each name."""
     counts: Counter[str] = Counter()
     for tasks, names in named:
         counts.update(dict.fromkeys(names, tasks))

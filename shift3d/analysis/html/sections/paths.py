@@ -1,4 +1,4 @@
-"""The score along the steps of a search: of one case, and on average."""
+"""Score along the steps of a search: of one case, and on average."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ _LEAD = (
 
 
 def paths(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
-    """The section: the mean path of each search, with a band. Searches are those of the attacked detector."""
+    """Build the section: mean path with band of each search. Only searches scored by the attacked detector count."""
     own = [(variant, searched(sweep, variant)) for variant in found if variant.is_own]
     parts = [(f"Steps: {variant.label}", [_plot(variant, rows)]) for variant, rows in own if len(rows)]
     return [Paragraph(_LEAD), *folded(parts, shown=2)] if parts else [_MISSING]
 
 
 def searched(sweep: Sweep, variant: Variant) -> pd.DataFrame:
-    """Rows of ``trajectories.parquet`` of a variant's tasks, with `place`, see `places_of`."""
+    """Select a variant's rows of ``trajectories.parquet``, with `place`, see `places_of`."""
     rows = sweep.trajectories[sweep.trajectories["task_id"].isin(set(variant.rows["task_id"]))]
     return rows.assign(place=places_of(rows))
 
 
 def mean_path(rows: pd.DataFrame) -> tuple[Any, Any, Any, Any]:
-    """Step (S,), mean score, and its band's low and high, None for a single scene.
+    """Compute steps (S,), mean score, and low and high of its band, which are None for a single scene.
 
-    rows: columns task_id, place, step, proposal_score. A search that ended early stays at its last score.
+    rows: columns task_id, place, step, proposal_score. A search that ended early keeps its last score.
     """
     table = rows.pivot_table(index=["place", "task_id"], columns="step", values="proposal_score").sort_index(axis=1)
     table = table.ffill(axis=1)
@@ -67,7 +67,7 @@ def _plot(variant: Variant, rows: pd.DataFrame) -> Plot:
 
 
 def case_path(key: str, rows: pd.DataFrame) -> Block:
-    """The figure of one task's steps, the best one marked; a sentence where the sweep kept none."""
+    """Plot one task's steps and mark the best step, or return a sentence if the sweep stored no steps."""
     rows = rows[rows["proposal_score"].notna()]
     if rows.empty:
         return _MISSING

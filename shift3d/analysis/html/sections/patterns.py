@@ -1,4 +1,4 @@
-"""What the missed objects share, and what attacks change as a rule, in centimetres and degrees."""
+"""Sections about common properties of missed objects, and about typical changes by attacks, in cm and degrees."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RULES_LEAD = (
 
 
 def rules(sweep: Sweep) -> list[Block]:
-    """The section; it says so where a sweep has too few scenes, or no rule."""
+    """Build the section of failure rules, or a sentence if a sweep has too few scenes or no rule."""
     objects = rules_objects(sweep)
     try:
         found = failure_rules(objects)
@@ -43,7 +43,7 @@ _UNMEASURED = "The shapes were not measured: shift3d patterns OUT measures them 
 
 
 def patterns(sweep: Sweep) -> list[Block]:
-    """The section: a table and a figure a search; poses need no command of their own."""
+    """Build the section of changes, with a table and figures per search; poses need no separate command."""
     parts: list[tuple[str, list[Block]]] = []
     for number, (label, found) in enumerate(pattern_groups(sweep.patterns, sweep.scores)):
         table = patterns_table(f"Changes: {label}", found)
@@ -57,7 +57,7 @@ def patterns(sweep: Sweep) -> list[Block]:
 
 
 def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
-    """Changes with their intervals, a figure a unit that has several measures."""
+    """Plot changes with their intervals, one figure per unit that has several measures."""
     figures = []
     for name, unit in (("centimetres", "cm"), ("degrees", "°")):
         shown = [pattern for pattern in found if pattern.unit == unit]

@@ -1,4 +1,4 @@
-"""Vehicles in scenes that are like what was found."""
+"""Section of real vehicles that resemble the adversarial shapes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _CURVES = {
 
 
 def retrieval(sweep: Sweep, loaded: Loaded) -> list[Block]:
-    """The section; it says how kin are found where nobody has looked."""
+    """Build the section; if no vehicles were retrieved, show the command to run."""
     if sweep.retrieved.empty:
         nothing = missing("Nobody has looked for natural vehicles that are like these shapes.")
         return [nothing, Command("A vehicle of the set takes some seconds:", "shift3d retrieve OUT")]
@@ -53,7 +53,7 @@ def retrieval(sweep: Sweep, loaded: Loaded) -> list[Block]:
 
 
 def kin_curves(rows: pd.DataFrame, controls: pd.DataFrame) -> Plot:
-    """Curves of solutions, what stood there before, their kin (all in `rows`, of `kept`), and of every control."""
+    """Plot recall of baselines, solutions and their kin (all in `rows`, see `kept`), and of every control."""
     found = [RecallCurve(name, rows[column], rows["place"], colour) for column, (name, colour) in _CURVES.items()]
     found.append(RecallCurve("controls", controls["score"], places_of(controls), COLOURS["random_budget"], "dash"))
     label = f"Threshold-recall of {counted(len(rows), 'solution')} with natural kin, in the same place"
@@ -68,7 +68,7 @@ def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> Picture:
 
 
 def _three(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> bytes:
-    """Three vehicles side by side from the front left, a little from above, to one scale."""
+    """Render three vehicles side by side from the front left, slightly from above, at one scale."""
     (task,) = sweep.plan.tasks.starting_with(row["task_id"])
     assets, pool = loaded.assets(task), sweep.vehicle_pool
     kin = kin_of(pool, row)

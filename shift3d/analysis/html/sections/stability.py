@@ -1,4 +1,4 @@
-"""Whether the solutions are stable and robust, and what the accuracy of the sweep was and cost."""
+"""Sections about the stability and robustness of solutions, and about the sweep's accuracy and its cost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstabl
 
 
 def accuracy(sweep: Sweep) -> list[Block]:
-    """The section: the audit of this sweep's own objects, and the presets as a frontier measured them."""
+    """Build the section of accuracy: audit of the sweep's objects, and the presets as a frontier measured them."""
     audited = Items([*accuracy_cost(sweep.scores, sweep.timings), diagnostics(sweep.scores)])
     lead = Paragraph("Beams of each object are rendered again at reference accuracy.")
     explained = Fold("What the columns mean", [Terms(preset_meanings())])
@@ -27,14 +27,14 @@ _ALT = (
 
 
 def stability(sweep: Sweep) -> list[Block]:
-    """The section; one line where nothing was verified."""
+    """Build the section of stability, or one line if nothing was verified."""
     if sweep.verification is None or sweep.verification.empty:
         return [missing("Not verified: shift3d verify OUT scores every solution again at reference accuracy.")]
     return stability_blocks(sweep.verification, shown=20)
 
 
 def stability_blocks(verification: pd.DataFrame, shown: int | None) -> list[Block]:
-    """The table, the figure and what is unstable. shown: at most so many of these, None: all."""
+    """Build table, figure and list of unstable solutions. shown: maximum number to list; None: all."""
     unstable = int((~verification["stable"]).sum())
     listed: Block = Items(unstable_lines(verification, shown)) if unstable else Paragraph("None.")
     return [

@@ -1,1 +1,1 @@
-"""What accuracy costs in time: of a sweep, of the presets, of every setting of the frontier."""
+"""Accuracy against time: of a sweep, of the presets, and of every setting of the frontier."""

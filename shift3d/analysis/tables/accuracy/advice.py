@@ -1,4 +1,4 @@
-"""A frontier in words: what each preset costs, what its neighbours would, and what never pays."""
+"""Frontier in words: cost of each preset, cost of its neighbours, and dominated settings."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from shift3d.accuracy_time.pareto import MISPLACED_M, dominators_of, effective_e
 from shift3d.analysis.tables.table import factor, length, milliseconds, share
 from shift3d.wording import counted
 
-_LADDER = ("draft", "standard", "reference")  # from the fastest to the most accurate; `paper` is what they replace
+_LADDER = ("draft", "standard", "reference")  # fastest to most accurate; they replace `paper`
 _DEFAULT = "standard"
 
 
 def advice(frame: pd.DataFrame) -> str:
-    """One paragraph a scene set, generated from the numbers; the same frame gives the same text.
+    """Generate one paragraph per scene set from the numbers; the same frame gives the same text.
 
-    It says what the presets cost and get wrong, what the default gains over the published algorithm, what the next
-    preset up or down would cost, where the knee of the front is, and which settings are dominated by which.
+    It states cost and errors of the presets, the gain of the default over the published algorithm, the cost of the next
+    preset up or down, the knee of the front, and each dominated setting with its dominator.
 
     Args: frame: the frontier's table.
     """
@@ -82,7 +82,6 @@ def _accuracy(row: pd.Series) -> str:
 
 
 def _steps(here: pd.Series, presets: dict[str, Any]) -> list[str]:
-    """One preset down and up from the default."""
     sentences = []
     for name in (name for name in _LADDER if name in presets and name != _DEFAULT):
         other = presets[name]
@@ -97,13 +96,13 @@ def _steps(here: pd.Series, presets: dict[str, Any]) -> list[str]:
 
 
 def _warm(rows: pd.DataFrame, default: pd.Series) -> str:
-    """What starting from the previous rendering saves, for the default preset."""
+    """Describe the time that a start from the previous rendering saves with the default preset."""
     found = rows[rows["setting"] == f"{_DEFAULT}, warm"]
     if found.empty:
         return ""
     plain = rows[rows["setting"] == f"{_DEFAULT}, shape gradient"]
     warm, cold, how = found.iloc[0], default, "cold"
-    if len(plain):  # an SDF grid is of one shape: one that changes has none
+    if len(plain):  # an SDF grid fits one shape; a changing shape has none
         cold, how = plain.iloc[0], "cold under the same conditions, without an SDF grid and with the gradient"
     text = f"Warm, that is from the previous rendering on as in the attack loop, {_DEFAULT} takes "
     text += f"{milliseconds(warm['ms_median'])}: {factor(cold['ms_median'] / warm['ms_median'])} times as fast as {how}"
@@ -122,7 +121,6 @@ def _loop(row: pd.Series) -> str:
 
 
 def _attacks(rows: pd.DataFrame) -> str:
-    """What attacks reach with each minimum |n.d|."""
     made = rows[rows["attack_score"].notna()]
     if made.empty:
         return ""
@@ -131,12 +129,12 @@ def _attacks(rows: pd.DataFrame) -> str:
 
 
 def _knee(rows: pd.DataFrame) -> str:
-    # Of settings that render the same one is enough, a preset if there is one.
+    # Settings that render the same count once, as a preset if possible.
     front = rows[rows["pareto"] & ~rows["warm"]].sort_values("preset", kind="stable", na_position="last")
     front = (
         front.drop_duplicates(["ms_median", "error_m"]).sort_values("ms_median", kind="stable").reset_index(drop=True)
     )
-    # What needs more, a gradient say, is on the front beside what is faster and better: neither is a step along it.
+    # A setting that needs more, such as a gradient, is on the front beside a faster and better one: no step along it.
     front = front[front["error_m"] < front["error_m"].cummin().shift(fill_value=np.inf)].reset_index(drop=True)
     at = knee(front["ms_median"], front["error_m"])
     if at is None:
@@ -159,7 +157,7 @@ def _knee(rows: pd.DataFrame) -> str:
 
 
 def _dominated(rows: pd.DataFrame) -> list[str]:
-    """Who is dominated by whom, under the dominator that has most below it first."""
+    """Describe which settings are dominated by which, starting with the setting that dominates most."""
     by = dominators_of(rows)
     losers = np.flatnonzero(by >= 0)
     if not len(losers):
@@ -179,10 +177,10 @@ def _dominated(rows: pd.DataFrame) -> list[str]:
 
 
 def _runs(rows: pd.DataFrame, by: npt.NDArray[np.int64], winner: int) -> list[str]:
-    """What one setting dominates; three and more neighbours of one method as "first to last"."""
+    """List the settings that one setting dominates; three or more neighbours of one method as "first to last"."""
     ratio = rows["ms_median"].to_numpy() / rows["ms_median"].iloc[winner]
     names, parts = rows["setting"].to_numpy(), []
-    # Neighbours: of one method, in the order of its knob; methods in the table's order.
+    # Neighbours are settings of one method in the order of its knob; methods are in the table's order.
     methods = list(dict.fromkeys(rows["method"]))
     order = np.lexsort((rows["knob"].to_numpy(dtype=np.float64), rows["method"].map(methods.index).to_numpy()))
     keys = [(rows["method"].iloc[row], by[row] == winner) for row in order]

@@ -1,4 +1,4 @@
-"""What a sweep's accuracy cost, how it stood numerically, and what other presets would cost."""
+"""Cost of a sweep's accuracy, its numerical diagnostics, and the cost of other presets."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _BASELINE = ["method", "dataset", "scene", "vehicle", "detector", "accuracy", *P
 
 
 def _objects(scores: pd.DataFrame) -> pd.DataFrame:
-    """A row an object, whatever detectors score it. A baseline that tasks share is rendered and audited once."""
+    """Select one row per object, whatever the number of detectors. A baseline that tasks share is rendered once."""
     rows = scores.drop_duplicates(["task_id", "method", "replicate"])
     shared = rows[_BASELINE].assign(effects=rows["effects"].map("+".join)).duplicated()
     return rows[~(shared & rows["method"].eq("baseline"))]
 
 
 def diagnostics(scores: pd.DataFrame) -> str:
-    """How a sweep stood numerically, from the columns of its rows; each object counted once."""
+    """Describe the numerical diagnostics of a sweep's rows; each object counts once."""
     rows = _objects(scores[scores["max_residual_m"].notna()])
     if not len(rows):
         return "Numerics: no object was rendered."
@@ -43,17 +43,17 @@ def diagnostics(scores: pd.DataFrame) -> str:
     return f"{text}."
 
 
+# Preset rows of a measured frontier; `docs/scripts/shipped.py` writes them from the frontier's folder.
 MEASURED = Path(__file__).resolve().parents[2] / "measured" / "presets.json"
-"""The presets' rows of a measured frontier: `docs/scripts/shipped.py` writes them from its folder."""
 _ERRORS = ("missed_hits", "false_hits", "wrong_surface")
 _HEADERS = ("time", "x paper", "missed", "wrong", "false", "p99", "max", "cosine", "step", "AUC")
 
 
 def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
-    """The presets' rows on streets of this installation's frontier, or of the one that ships; and whose they are.
+    """Load the presets' street rows of the local frontier, or of the shipped one. Returns the rows and their origin.
 
-    folder: where a frontier was written, default outputs/frontier of the working directory. One that cannot be read, is
-    of other scenes or lacks a preset is named and left out: a sweep does not end in an error for it.
+    folder: folder of the local frontier, default outputs/frontier of the working directory. A local frontier that is
+    unreadable, has other scenes or lacks a preset is named and ignored, so that a sweep does not end in an error.
     """
     file = (folder or Path("outputs") / "frontier") / "frontier.parquet"
     shipped = _of_presets(pd.read_json(MEASURED).reindex(columns=FRONTIER_SCHEMA.names))
@@ -72,18 +72,18 @@ def _of_presets(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def preset_table(folder: Path | None = None) -> Table:
-    """What each preset costs and gets wrong, see `measured_presets`."""
+    """Build the table of cost and errors of each preset, see `measured_presets`."""
     presets, whose = measured_presets(folder)
     return settings_table(presets.reset_index(), f"What other presets would cost, by {whose}", "preset", _HEADERS)
 
 
 def preset_meanings() -> dict[str, str]:
-    """What the columns of `preset_table` mean."""
+    """Return the meanings of the columns of `preset_table`."""
     return meanings(_HEADERS)
 
 
 def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame) -> list[str]:
-    """A line an accuracy preset: what the audits found, and where the time went. scores, timings: of ``final/``."""
+    """Describe audit results and time by accuracy preset, one line each. scores, timings: tables of ``final/``."""
     by_preset = scores.groupby("accuracy", sort=True)
     return [
         f"{name}: {_audited(rows)} {_spent(timings[timings['task_id'].isin(rows['task_id'])])}"
@@ -92,7 +92,7 @@ def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame) -> list[str]:
 
 
 def _audited(rows: pd.DataFrame) -> str:
-    """What the audits found, each object counted once."""
+    """Describe the audit results; each object counts once."""
     rows = _objects(rows[rows["audited_beams"].notna()])
     if not len(rows):
         return "no beam was audited."
@@ -107,7 +107,7 @@ def _audited(rows: pd.DataFrame) -> str:
 
 
 def _spent(timings: pd.DataFrame) -> str:
-    """What took a task's time: its stages, the longest first; what takes less than 1 % is `other`."""
+    """Describe the time of a task by stage, longest first; stages below 1 % are summed as `other`."""
     stages = timings.groupby("stage")["milliseconds"].sum().sort_values(ascending=False)
     tasks, total = timings["task_id"].nunique(), float(stages.get("total", 0.0))
     if not tasks or not total:

@@ -1,4 +1,4 @@
-"""Measured settings as tables: each one's time and errors, and what the columns mean."""
+"""Tables of measured settings: time and errors of each setting, and the meanings of the columns."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from shift3d.wording import counted
 
 @dataclass(frozen=True)
 class _Column:
-    """A column of the tables: of which column of the frame, as what, and what it means."""
+    """Column of the tables: header, source column of the frame, cell format and meaning."""
 
     header: str
     source: str
     cell: Callable[[Any], str]
     meaning: str
-    printed: bool = True  # on the terminal too, which has less room than the page
+    printed: bool = True  # False: only on the page, as a terminal has less room
 
 
 _COLUMNS = (
@@ -68,24 +68,21 @@ RULE = (
 
 
 def frontier_lines(frame: pd.DataFrame) -> str:
-    """The printed tables and what their columns mean, without those that a terminal has no room for.
-
-    frame: the frontier's table.
-    """
+    """Format the printed tables and their legend, without columns for which a terminal has no room."""
     headers = measured_headers(frame, printed=True)
     tables = [str(table) for _, table in settings_tables(frame, headers)]
     return "\n\n".join([*tables, legend(meanings(headers))])
 
 
 def measured_headers(frame: pd.DataFrame, printed: bool = False) -> list[str]:
-    """Heads of the columns for which something was measured. printed: of those that a terminal has room for."""
+    """Return the headers of columns with measurements. printed: only columns that fit on a terminal."""
     frame = _completed(frame)
     columns = [column for column in _COLUMNS if frame[column.source].notna().any()]
     return [column.header for column in columns if column.printed or not printed]
 
 
 def settings_tables(frame: pd.DataFrame, headers: Collection[str]) -> list[tuple[str, Table]]:
-    """Each scene set and its table, the fastest setting first. headers: of the columns."""
+    """Build the table of each scene set, fastest setting first. headers: columns to show."""
     found = []
     for scenes in dict.fromkeys(frame["scenes"]):
         rows = frame[frame["scenes"] == scenes].sort_values("ms_median", kind="stable")
@@ -97,7 +94,7 @@ def settings_tables(frame: pd.DataFrame, headers: Collection[str]) -> list[tuple
 
 
 def settings_table(rows: pd.DataFrame, title: str, first: str, headers: Collection[str]) -> Table:
-    """Rows as they come. first: the head of their names. headers: of the columns."""
+    """Build a table of rows in the given order. first: header of the setting names. headers: columns to show."""
     rows, columns = _completed(rows), [column for column in _COLUMNS if column.header in headers]
     lines = []
     for row in rows.iloc:
@@ -108,12 +105,12 @@ def settings_table(rows: pd.DataFrame, title: str, first: str, headers: Collecti
 
 
 def meanings(headers: Collection[str]) -> dict[str, str]:
-    """What some columns mean, by header."""
+    """Return the meanings of columns by header."""
     return {column.header: column.meaning for column in _COLUMNS if column.header in headers}
 
 
 def legend(terms: Mapping[str, str]) -> str:
-    """What columns mean, as a terminal shows it below their table."""
+    """Format the meanings of columns for the terminal."""
     return textwrap.fill("; ".join(f"{header}: {meaning}" for header, meaning in terms.items()), 120)
 
 
@@ -123,7 +120,7 @@ def _completed(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _conditions(row: pd.Series) -> str | None:
-    """ "warm, grid, pose gradient"; None where they were not recorded, as in a frontier of version 1."""
+    """Format the conditions, e.g. "warm, grid, pose gradient"; None if not recorded, as in a frontier of version 1."""
     if pd.isna(row["start"]):
         return None
     grid = ["grid"] if row["grid"] else []
