@@ -73,8 +73,8 @@ class IncrementalTokens:
     def __init__(self, net: SstNet, window: BevWindow, exact: torch.dtype, plain: Plain, answer: Plain) -> None:
         """Set up the cache of a window.
 
-        net: for inference. exact: dtype of points, tokens and logits. plain: proposals without cache, for windows beyond
-        the cached one. answer: (features of the core, its window) -> proposals.
+        net: for inference. exact: dtype of points and tokens. plain: proposals without cache, for windows beyond the
+        cached one. answer: (features of the core, its window) -> proposals.
         """
         self._net, self._window, self._exact, self._plain, self._answer = net, window, exact, plain, answer
         self._points = PointSites(net.grid, window, exact)
