@@ -13,7 +13,7 @@ from shift3d.detectors.grid import Grid, core_cells
 from shift3d.detectors.models.network import BoxHeads
 
 CENTRE_CODES = 8
-"""Offset from the cell's centre in x, y (cells), z (metres), log of three sizes (metres), sine and cosine of heading."""
+"""Offset from the cell's centre in x, y (cells), z (metres), log of three sizes (metres), sine, cosine of heading."""
 MAX_LOG_SIZE = 5.0
 TYPICAL_SIZE_M = (4.4, 1.8, 1.55)
 

@@ -38,8 +38,8 @@ def segment_max(rows: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
 
 
 class _SegmentMax(torch.autograd.Function):
-    """Segment maximum that splits each gradient between ties; torch.segment_reduce (2.13) splits only positive gradients
-    and gives a negative one in full to each tied row. An occluder often causes ties: it moves both returns of a beam to
+    """Segment maximum that splits each gradient between tied rows. torch.segment_reduce (2.13) splits only positive
+    gradients: each tied row gets a negative one in full. Ties are common: an occluder moves both returns of a beam to
     one place."""
 
     @staticmethod
