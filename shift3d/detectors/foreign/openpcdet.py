@@ -34,8 +34,8 @@ _BOX_BRANCHES = (("center", 2), ("center_z", 1), ("dim", 3), ("rot", 2))
 def read_yaml(path: Path) -> dict[str, Any]:
     """Read a config merged over its `_BASE_CONFIG_` files: tables are merged, other values are replaced.
 
-    Base paths are searched relative to the config's folder and its parents (OpenPCDet: relative to tools/), then by file
-    name beside the config. Raises InputError if a file is missing or not YAML.
+    Base paths are searched relative to the config's folder and its parents (OpenPCDet: relative to tools/), then by
+    file name beside the config. Raises InputError if a file is missing or not YAML.
     """
     try:
         content = yaml.safe_load(path.read_text())
