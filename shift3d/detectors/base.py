@@ -48,10 +48,7 @@ class Proposals:
 
 @dataclass(frozen=True)
 class Detections:
-    """Boxes kept by non-maximum suppression, highest score first.
-
-    boxes: (K, 7) float64, network frame; scores: (K,) float64 in [0, 1].
-    """
+    """Boxes after suppression, best first: boxes (K, 7) float64, network frame; scores (K,) float64 in [0, 1]."""
 
     boxes: npt.NDArray[np.float64]
     scores: npt.NDArray[np.float64]

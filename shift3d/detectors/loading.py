@@ -17,10 +17,7 @@ from shift3d.errors import InputError
 def load_detector(
     name: str = "pointpillars", path: Path | str | None = None, precision: Precision = "float32"
 ) -> TrainedDetector:
-    """Load a detector of shift3d by name, with the shipped weights or those of `path`.
-
-    Raises: InputError for an unknown name or bad weights.
-    """
+    """Load a detector of shift3d, weights shipped or from `path`. Raises: InputError: unknown name, bad weights."""
     if name not in NETWORKS:
         remedy = f"One of: {', '.join([*DETECTOR_NAMES, *FOREIGN, OWN, ONNX])}"
         raise InputError(f"unknown detector {name!r}", where="detector", remedy=remedy)

@@ -40,10 +40,7 @@ class BreakdownRow:
 
 @dataclass(frozen=True)
 class Area:
-    """AP or APH with the number of vehicles.
-
-    drawn: values over resampled frames; empty if the vehicles occur in fewer than two frames.
-    """
+    """AP or APH of `number` vehicles. drawn: values over resampled frames; empty if fewer than two have vehicles."""
 
     value: float | None
     drawn: Sequence[float | None]

@@ -51,8 +51,7 @@ def find_rules(quantities: Mapping[str, FloatArray], scores: FloatArray, most: i
     rule covers, so that a large effect does not hide a smaller one.
 
     Args: quantities: (N,) finite values by name. scores: (N,). most: largest number of rules.
-    Source: CART (Breiman et al. 1984) by scikit-learn; separate and conquer (Fürnkranz 1999). Depth and least numbers
-    are our choice.
+    Source: CART (Breiman et al. 1984) by scikit-learn; separate and conquer (Fürnkranz 1999); limits are our choice.
     """
     least = max(LEAST_OBJECTS, math.ceil(LEAST_SHARE * len(scores)))
     values = {name: np.asarray(column, np.float64) for name, column in quantities.items()}

@@ -23,9 +23,8 @@ class Truth:
 
     boxes: (M, 7) float64, scene frame, metres and radians. num_points: (M,) int64, number of points in each box.
     counts: (M,) bool; False for ignored vehicles (KITTI's vans and trucks): a detection of one is neither a true nor a
-    false positive. difficulty: (M,) int64, KITTI's 0 easy, 1 moderate, 2 hard, 3 harder; -1 if labels have none. names:
-    M class names of the data set. kinds: M kinds of vehicle, such as "sedan+roof_box": body type and attachments; empty
-    if labels have none.
+    false positive. difficulty: (M,) int64, KITTI's 0 easy, 1 moderate, 2 hard, 3 harder; -1 without. names: M class
+    names of the data set. kinds: M kinds, such as "sedan+roof_box" (body type and attachments); empty without.
     """
 
     boxes: Floats
@@ -50,9 +49,8 @@ class Truth:
 class Found:
     """Detections of a frame.
 
-    boxes: (K, 7) float64, scene frame. scores: (K,) float64 in [0, 1]. labelled: (K,) bool; False for a box outside the
-    labelled region, which is no error. image_height_px: (K,) float64, height of the box in the camera image, NaN
-    without a camera.
+    boxes: (K, 7) float64, scene frame. scores: (K,) float64 in [0, 1]. labelled: (K,) bool; False outside the labelled
+    region: no error. image_height_px: (K,) float64, height of the box in the camera image, NaN without a camera.
     """
 
     boxes: Floats

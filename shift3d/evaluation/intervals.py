@@ -16,10 +16,7 @@ DRAWS = 500
 
 
 def frame_weights(num_frames: int, draws: int = DRAWS) -> Floats:
-    """Compute how often each frame is drawn, (draws, F): F draws with replacement per row; (0, F) if F < 2.
-
-    Deterministic: the seed depends only on the arguments.
-    """
+    """Count draws per frame, (draws, F): F with replacement per row; (0, F) if F < 2. The arguments are the seed."""
     if num_frames < 2:
         return np.zeros((0, num_frames))
     rng = generator("evaluation frames", num_frames, draws)

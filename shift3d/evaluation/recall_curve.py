@@ -43,9 +43,6 @@ def recall_curve(scores: npt.ArrayLike) -> RecallCurve:
 
 
 def area_under(curve: RecallCurve) -> float:
-    """Compute the area under a curve on [0, 1]; it equals the mean score: E[s] is the integral of P(s > t).
-
-    Source: SHIFT3D section Evaluation Metrics.
-    """
+    """Compute the area under a curve: the mean score, E[s] = integral P(s > t). Source: SHIFT3D, Evaluation Metrics."""
     widths = np.diff(curve.score_threshold)
     return float(np.sum(curve.recall[:-1] * widths))

@@ -72,10 +72,7 @@ ANYWHERE = PlacementLimits()
 
 @dataclass(frozen=True)
 class Placement:
-    """Valid pose of the object, and its rendering.
-
-    theta: (6,) float64 pose. rejected: number of earlier attempts rejected per reason.
-    """
+    """Valid pose theta (6,) float64 and its rendering. rejected: number of earlier attempts rejected per reason."""
 
     theta: Tensor
     check: ConstraintCheck
@@ -212,10 +209,7 @@ def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int)
 def pose_on_ground(
     draw: tuple[float, float, float], site: Site, size: Tensor, constraints: Constraints, thorough: bool = True
 ) -> Tensor | str:
-    """Return the pose (6,) of a box of this size on the ground at (x, y, yaw), or the key of `REFUSALS` if rejected.
-
-    thorough: see `ground_under`.
-    """
+    """Return the pose (6,) of a box on the ground at (x, y, yaw), or a key of `REFUSALS`. thorough: `ground_under`."""
     x, y, yaw = draw
     if not is_clear(torch.tensor(draw), site.others, constraints.clear_m):
         return "neighbour"

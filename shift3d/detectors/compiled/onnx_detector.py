@@ -59,10 +59,7 @@ class OnnxDetector(SuppressedProposals):
         return BevWindow(x0, y0, num_x, num_y, x0, y0, num_x, num_y)
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """See `Detector`; logits are float64 and have no gradient.
-
-        Raises InputError if the model fails on these points or does not return valid boxes and scores.
-        """
+        """See `Detector`; float64 logits, no gradient. Raises InputError if the model fails or its output is bad."""
         rows = points.detach().to(torch.float32).numpy()
         try:
             boxes, scores = self._session.run(["boxes", "scores"], {self._input: np.ascontiguousarray(rows)})

@@ -25,10 +25,7 @@ _IOU = 0.25
 
 
 def foreign_layout(name: str, config: Path, choices: Choices = CONFIGS_OWN) -> dict[str, Any]:
-    """Read the layout that a config describes, as plain values. name: "openpcdet" or "mmdet3d".
-
-    Raises: InputError with file and value if something is missing or not supported.
-    """
+    """Read a config of "openpcdet" or "mmdet3d" as plain values. Raises: InputError: missing, unsupported values."""
     if not config.is_file():
         raise InputError("no such file", str(config), "Check detector.config")
     if name == "openpcdet":

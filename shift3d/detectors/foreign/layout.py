@@ -22,9 +22,8 @@ class PillarInputs(_Values):
 
     position: first input columns: coordinates, offset from the pillar's centre, or none. constants: values for the
     channels other than coordinates. middle_m: height of the pillar's centre. slots: points per pillar in the source; a
-    pillar with fewer points gets one additional point of zeros. None: no limit. filters: output width of each layer; in
-    all but the last, one half is per point and one half is the pillar's maximum. named: name of the layers in the
-    source.
+    pillar with fewer points gets one additional point of zeros; None: no limit. filters: output width of each layer; in
+    all but the last, half is per point and half is the pillar's maximum. named: name of the layers in the source.
     """
 
     position: Literal["coordinates", "offset", "none"]
@@ -55,10 +54,7 @@ class Anchor(_Values):
 
 
 class AnchorHead(_Values):
-    """Anchor head of 1x1 convolutions.
-
-    classes: number per anchor; vehicle: index of the class to keep. code_size: number of values per box, at least 7.
-    """
+    """1x1 convolutions. classes: per anchor; vehicle: index of the class to keep. code_size: values per box, >= 7."""
 
     kind: Literal["anchors"] = "anchors"
     anchors: tuple[Anchor, ...]

@@ -1,7 +1,4 @@
-"""Network of a foreign model: parts of the shipped pillar detectors where these compute the same function.
-
-Pillar network and heads compute the same as in OpenPCDet and mmdetection3d.
-"""
+"""Network of a foreign model: shipped modules where they compute the same, otherwise modules as in its codebase."""
 
 from __future__ import annotations
 
@@ -26,9 +23,8 @@ from shift3d.detectors.models.pillar_net import decorate, segment_max
 def foreign_inputs(points: Tensor, pillars: Pillars, grid: Grid, inputs: PillarInputs) -> Tensor:
     """Compute position, constants, offset from the pillar's mean and from its centre in x, y, z: (K, columns).
 
-    Rows are sorted by pillar. points: (N, 3), model's frame, metres. Differentiable w.r.t. points.
-    Source: OpenPCDet's PillarVFE; mmdetection3d's PillarFeatureNet, whose `legacy` overwrites the coordinates with the
-    offset from the centre.
+    Rows are sorted by pillar. points: (N, 3), model's frame, metres. Differentiable w.r.t. points. Source: OpenPCDet's
+    PillarVFE; mmdetection3d's PillarFeatureNet, whose `legacy` puts the offset from the centre over the coordinates.
     """
     decorated = decorate(points, pillars, grid)
     xyz, to_mean = decorated[:, :3], decorated[:, 3:6]
@@ -57,10 +53,7 @@ class ForeignEncoder(nn.Module):
         self.norms = nn.ModuleList(nn.BatchNorm1d(width, eps=inputs.eps) for width in halves)
 
     def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
-        """Encode (K, columns), sorted by pillar, to (P, channels). Differentiable w.r.t. decorated.
-
-        Points that tie for a maximum get equal shares of the gradient.
-        """
+        """Encode (K, columns), sorted by pillar, to (P, channels). Differentiable; ties share gradients equally."""
         features, owner, counts = decorated, pillars.pillar, pillars.counts
         if self.slots is not None:
             short = torch.nonzero(counts < self.slots).flatten()
@@ -150,8 +143,7 @@ class CentreTower(nn.Module):
 
 
 class MapHeads(BoxHeads):
-    """Heads that read logit and box code of a cell from the output of `CentreTower`; all cells enter suppression, as in
-    the sources."""
+    """Heads that read logit and box code from `CentreTower`; all cells enter suppression, as in the sources."""
 
     per_cell = 1
     box_layers = ()

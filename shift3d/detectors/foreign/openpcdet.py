@@ -1,7 +1,6 @@
 """Reader of OpenPCDet's YAML configs: PointPillar with one anchor head, and CenterPoint on pillars.
 
-Source: OpenPCDet 0.3 to 0.6, pcdet/models: pillar_vfe, dynamic_pillar_vfe, base_bev_backbone, anchor_head_single,
-center_head.
+Source: OpenPCDet 0.3 to 0.6: pillar_vfe, dynamic_pillar_vfe, base_bev_backbone, anchor_head_single, center_head.
 """
 
 from __future__ import annotations

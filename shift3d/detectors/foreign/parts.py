@@ -15,10 +15,7 @@ VEHICLE_CLASSES = ("Car", "car", "Vehicle", "vehicle")
 
 @dataclass(frozen=True)
 class _DataSet:
-    """Defaults of a data set. height_m: of the points' origin above the ground. turned: see `Frame`.
-
-    intensity: constant for all points, in units of the files.
-    """
+    """Defaults. height_m: of the points' origin above ground. turned: see `Frame`. intensity: constant, file units."""
 
     height_m: float
     turned: bool

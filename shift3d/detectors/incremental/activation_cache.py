@@ -15,10 +15,7 @@ from shift3d.processor import pad_to_bucket
 
 
 class ActivationCache:
-    """Activations of one window. `advance` recomputes cells that changed and are needed.
-
-    canvas: (rows, C) pillar features by cell number, in the backbone's dtype; the caller writes them.
-    """
+    """Activations of one window. canvas: (rows, C) pillar features by cell, backbone dtype; callers write it."""
 
     def __init__(self, net: SparseBackbone, window: MapShape) -> None:
         self.net = net
@@ -51,10 +48,7 @@ class ActivationCache:
         return due
 
     def advance(self, written: ActiveSites, needed: list[ActiveSites], outputs: ActiveSites) -> None:
-        """Propagate the written canvas cells through all layers to the needed cells.
-
-        needed: `SparseBackbone.needed` of the output cells `outputs`. Not differentiable: see `SparseBackward`.
-        """
+        """Recompute needed cells after writes to the canvas. needed: `SparseBackbone.needed(outputs)`. No autograd."""
         changed = written
         for index, layer in enumerate(self.net.chain):
             reach = reached(changed, layer.stride) | self._stale[index + 1]

@@ -57,8 +57,8 @@ class IncrementalPillars:
     ) -> Proposals:
         """See `IncrementalInference`. A window that extends beyond the cached one is computed without the cache.
 
-        Deterministic bit for bit for the same sequence of calls; after other calls the same points may give results
-        that differ by rounding. Not differentiable twice.
+        Deterministic bit for bit for the same sequence of calls; other earlier calls may change the rounding. Not
+        differentiable twice.
         """
         window = window or self._window
         if points.ndim != 2 or points.shape[1] != 3 or not contains(self._window, window):

@@ -92,8 +92,7 @@ class IncrementalTokens:
     ) -> Proposals:
         """See `IncrementalInference`. A window that extends beyond the cached one is computed without the cache.
 
-        Deterministic bit for bit for the same sequence of calls; after other calls the same points may give results
-        that differ by rounding.
+        Deterministic bit for bit for the same sequence of calls; other earlier calls may change the rounding.
         """
         window = window or self._window
         if points.ndim != 2 or points.shape[1] != 3 or not contains(self._window, window):
@@ -141,7 +140,6 @@ class IncrementalTokens:
         return torch.from_numpy(self._row_of_cell[cells])
 
     def _tokens(self, cells: SiteIndices) -> Tokens:
-        """Convert cells of the cached window to tokens of the grid."""
         line, column = np.divmod(cells, self._points.shape.width + 2)
         return Tokens(np.zeros_like(cells), column + self._window.x0 - 1, line + self._window.y0 - 1)
 

@@ -94,8 +94,7 @@ class Backbone(nn.Module):
         """Compute the features of the core. Differentiable w.r.t. canvas.
 
         canvas: (B, C, H, W), H along y. core: (y0, x0, height, width), cells, aligned to the stride. In evaluation mode
-        each layer computes only cells that the core depends on: 0.6 of the operations for the window of a loss, 0.7 for
-        the window of a score.
+        a layer computes only cells that the core depends on: 0.6 of the operations for a loss window, 0.7 for a score.
         """
         y0, x0, height, width = core or (0, 0, canvas.shape[2], canvas.shape[3])
         lines = self._input_spans(canvas.shape[2], y0, height)

@@ -38,10 +38,7 @@ class BoxHeads(nn.Module, ABC):
 
     @abstractmethod
     def decode(self, rows: Tensor, grid: Grid, window: BevWindow) -> Tensor:
-        """Return the boxes (A, 7), metres, network frame, of the window's core.
-
-        rows: (cells, R), concatenated outputs of `box_layers`. Not differentiable: boxes are detached.
-        """
+        """Return the core's boxes (A, 7), metres, network frame, detached. rows: (cells, R) of all `box_layers`."""
 
     def reported(self, logits: Tensor, window: BevWindow) -> Tensor | None:
         """Return a mask (A,) bool of the core's proposals that enter suppression; None: all."""
@@ -121,8 +118,7 @@ class DetectorNet(nn.Module, ABC):
     ) -> tuple[Sequence[Pillars], Tensor]:
         """Return the non-empty pillars of each window and the features (P, channels) of all, window by window.
 
-        clouds: (N_b, 3), network frame, metres. pillars: of each window, if already computed. Differentiable w.r.t. the
-        points.
+        clouds: (N_b, 3), network frame, metres. pillars: of each window, if computed. Differentiable w.r.t. the points.
         """
         if pillars is None:
             pairs = zip(clouds, windows, strict=True)
@@ -143,10 +139,9 @@ class DetectorNet(nn.Module, ABC):
     def features(
         self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
     ) -> Tensor:
-        """Compute features (B, C, h, w) of the windows' cores; all windows have the same shape.
+        """Compute features (B, C, h, w) of the cores of equally shaped windows. Differentiable w.r.t. points, weights.
 
-        clouds: (N_b, 3), network frame, metres. pillars: of each window, if already computed. Differentiable w.r.t.
-        points and weights.
+        clouds: (N_b, 3), network frame, metres. pillars: of each window, if already computed.
         """
 
     @abstractmethod

@@ -118,10 +118,7 @@ class PillarBackboneNet(DetectorNet):
         return result
 
     def inference(self, precision: Precision) -> Self:
-        """Return a copy in evaluation mode, batch norms and input gains folded in float64.
-
-        The pillar network always runs in float32 or float64.
-        """
+        """Return a copy for inference, norms and gains folded in float64; its pillar network is float32 or float64."""
         exact, dense = arithmetic(precision)
         folded = copy.deepcopy(self)
         folded.pillar_net = folded.pillar_net.folded()
@@ -146,10 +143,7 @@ def to_dense(part: nn.Module, dense: torch.dtype) -> None:
 
 
 class PointPillarsNet(PillarBackboneNet):
-    """PointPillars: logits, box codes and direction logits of every anchor in the window's core.
-
-    Source: PointPillars (Lang et al. 2019), see `PillarBackboneNet`.
-    """
+    """PointPillars: logits, box codes and direction logits of the core's anchors. Source: see `PillarBackboneNet`."""
 
     name = "pointpillars"
 
@@ -161,9 +155,8 @@ class PointPillarsNet(PillarBackboneNet):
 class CenterPointNet(PillarBackboneNet):
     """CenterPoint: heat map and box of every cell of the window's core.
 
-    Source: CenterPoint (Yin et al. 2021), first stage, on pillars. Our choice: the heads are 1x1 convolutions as in
-    PointPillars (published: a shared 3x3 convolution and another per head), so that windows and incremental inference
-    cost the same.
+    Source: CenterPoint (Yin et al. 2021), first stage, on pillars. Our choice: 1x1 convolutions as heads, as in
+    PointPillars (published: a shared 3x3 and one per head), so that windows and incremental inference cost the same.
     """
 
     name = "centerpoint"

@@ -38,9 +38,8 @@ def segment_max(rows: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
 
 
 class _SegmentMax(torch.autograd.Function):
-    """Segment maximum that splits each gradient between tied rows. torch.segment_reduce (2.13) splits only positive
-    gradients: each tied row gets a negative one in full. Ties are common: an occluder moves both returns of a beam to
-    one place."""
+    """Segment maximum that splits each gradient between tied rows; torch.segment_reduce (2.13) gives the whole of a
+    negative gradient to each tied row. Ties are common: an occluder moves both returns of a beam to one place."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
@@ -84,10 +83,7 @@ class PillarNet(nn.Module):
         self.register_buffer("feature_scale", torch.tensor(FEATURE_SCALE), persistent=False)
 
     def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
-        """Encode decorated points (K, 8), metres, to pillar features (P, 64). Differentiable w.r.t. decorated.
-
-        Points that tie for a maximum get equal shares of the gradient.
-        """
+        """Encode decorated points (K, 8), metres, to (P, 64). Differentiable; ties share gradients equally."""
         per_point = self.norm(self.linear(decorated * self.feature_scale))
         return torch.relu(segment_max(per_point, pillars.pillar, pillars.counts))
 

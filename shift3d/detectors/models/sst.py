@@ -152,8 +152,7 @@ class SstNet(DetectorNet):
     def inference(self, precision: Precision) -> SstNet:
         """Return a copy in evaluation mode, batch norms folded in float64, layers in the dtypes of the precision.
 
-        With bfloat16, the encoder and the transformer's sums and norms stay in float32: only products use half the
-        bytes.
+        With bfloat16, encoder and the transformer's sums and norms stay in float32: only products use half the bytes.
         """
         exact, dense = arithmetic(precision)
         folded = copy.deepcopy(self)

@@ -118,8 +118,7 @@ class WindowTransformer(nn.Module):
     def needed_spans(self, low: int, high: int) -> list[tuple[int, int]]:
         """Return per layer the cells [low, high) of one axis that the final output in [low, high) depends on.
 
-        The first layer comes first; its span is all that the result depends on. Exact: attention reaches every cell of
-        its window and no other.
+        The span of the first layer is all that the result depends on. Exact: attention reaches exactly its window.
         """
         spans: list[tuple[int, int]] = []
         for shift in reversed(self.spec.shifts):
@@ -128,10 +127,7 @@ class WindowTransformer(nn.Module):
         return spans[::-1]
 
     def layer(self, index: int, features: Tensor, tokens: Tokens, groups: WindowGroups | None = None) -> Tensor:
-        """Apply one layer to features (P, width) of the tokens of whole windows. Differentiable w.r.t. features.
-
-        groups: of these tokens, if already computed.
-        """
+        """Apply one layer to (P, width) features of whole windows. groups: if computed. Differentiable in features."""
         spec = self.spec
         if groups is None:
             groups = group_by_window(tokens, spec.window, spec.shifts[index], spec.lengths).to(features.device)
