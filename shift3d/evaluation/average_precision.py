@@ -70,7 +70,7 @@ def match_frame(comparison: Comparison, truth_counts: Flags, boxes_count: Flags,
 
 
 def area_exact(recall: Floats, precision: Floats) -> float:
-    """Compute the exact area under interpolated precision (best at equal or higher recall). Source: VOC 2010."""
+    """Compute the exact area under interpolated precision (best at equal or higher recall). Source: VOC from 2010."""
     envelope = np.maximum.accumulate(precision[::-1])[::-1]
     return float(np.sum(np.diff(recall, prepend=0.0) * envelope))
 

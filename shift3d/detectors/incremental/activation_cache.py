@@ -48,7 +48,7 @@ class ActivationCache:
         return due
 
     def advance(self, written: ActiveSites, needed: list[ActiveSites], outputs: ActiveSites) -> None:
-        """Recompute needed cells after writes to the canvas. needed: `SparseBackbone.needed(outputs)`. No autograd."""
+        """Recompute needed cells of all layers after canvas writes. needed: `SparseBackbone.needed` of `outputs`."""
         changed = written
         for index, layer in enumerate(self.net.chain):
             reach = reached(changed, layer.stride) | self._stale[index + 1]

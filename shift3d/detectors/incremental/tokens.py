@@ -80,9 +80,9 @@ class IncrementalTokens:
         self._points = PointSites(net.grid, window, exact)
         transformer = net.spec.transformer
         self._lattices = [_Lattice(window, transformer.window, shift) for shift in transformer.shifts]
-        # Per encoder and layer: the cells that changed since they were last computed; initially all cells.
+        # For the encoder and every layer: cells that changed since they were last computed; initially all cells.
         self._stale = [whole_set(self._points.shape) for _ in range(len(self._lattices) + 1)]
-        # Tokens per encoder and layer. A cell keeps its row once it has held a point.
+        # Tokens of the encoder and of every layer. A cell keeps its row once it has held a point.
         self._row_of_cell: SiteIndices = np.full(self._points.shape.rows, -1, dtype=np.int64)
         self._tables = [torch.zeros(0, transformer.width, dtype=exact) for _ in self._stale]
         self._rows_taken = 0
@@ -115,7 +115,7 @@ class IncrementalTokens:
         return copied_but_for(self, self._net, self._plain, self._answer)
 
     def _needed(self, window: BevWindow) -> list[ActiveSites]:
-        """Return per encoder and layer the cells that the window's core depends on."""
+        """Return the cells that the window's core depends on: of the encoder, then of every layer."""
         columns, lines = (
             [*self._net.transformer.needed_spans(low, high), (low, high)] for low, high in self._net.core_spans(window)
         )
