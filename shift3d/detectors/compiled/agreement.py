@@ -55,7 +55,10 @@ def largest_disagreement(
 def require_agreement(
     original: Detector, compiled: Detector, clouds: Iterable[tuple[str, Tensor]], where: str
 ) -> Disagreement:
-    """Return the largest score difference. Raises: InputError if it exceeds TOLERANCE or no detector finds a box."""
+    """Check that the largest score difference is at most TOLERANCE, and return it.
+
+    Raises: InputError with the place if the difference is larger, or if neither detector finds a box to compare.
+    """
     worst = largest_disagreement(original, compiled, clouds)
     if worst is None:
         what = f"neither it nor {original.name} finds a box in the scenes that they are compared on"

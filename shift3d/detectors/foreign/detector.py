@@ -25,7 +25,10 @@ _IOU = 0.25
 
 
 def foreign_layout(name: str, config: Path, choices: Choices = CONFIGS_OWN) -> dict[str, Any]:
-    """Read a config of "openpcdet" or "mmdet3d" as plain values. Raises: InputError: missing, unsupported values."""
+    """Read the layout that a config describes, as plain values. name: "openpcdet" or "mmdet3d".
+
+    Raises: InputError with file and value if something is missing or not supported.
+    """
     if not config.is_file():
         raise InputError("no such file", str(config), "Check detector.config")
     if name == "openpcdet":

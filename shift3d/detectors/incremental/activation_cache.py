@@ -48,7 +48,10 @@ class ActivationCache:
         return due
 
     def advance(self, written: ActiveSites, needed: list[ActiveSites], outputs: ActiveSites) -> None:
-        """Recompute needed cells of all layers after canvas writes. needed: `SparseBackbone.needed` of `outputs`."""
+        """Recompute the needed cells of all layers that depend on the written canvas cells.
+
+        needed: `SparseBackbone.needed` of the output cells `outputs`. Not differentiable: see `SparseBackward`.
+        """
         changed = written
         for index, layer in enumerate(self.net.chain):
             reach = reached(changed, layer.stride) | self._stale[index + 1]
@@ -110,7 +113,7 @@ class ActivationCache:
 
 
 def _batches(cells: SiteIndices, dtype: torch.dtype) -> Iterator[SiteIndices]:
-    """Split cells into batches. In bfloat16 the last cell is repeated up to the size that `pad_to_bucket` gives."""
+    """Split cells into batches. In bfloat16 the last cell repeats up to `pad_to_bucket` rows, with the same result."""
     for start in range(0, len(cells), ROWS_AT_ONCE):
         part = cells[start : start + ROWS_AT_ONCE]
         yield np.pad(part, (0, pad_to_bucket(len(part)) - len(part)), mode="edge") if dtype == torch.bfloat16 else part

@@ -31,7 +31,10 @@ flipped exponent bit turns a weight into 1e38, which is finite but gives infinit
 
 
 def load_network(path: Path, name: str = "pointpillars") -> DetectorNet:
-    """Load a network by name with the weights of a file, trainable, in evaluation mode. Raises: see `load_weights`."""
+    """Load a network by name with the weights of a safetensors file, trainable, in evaluation mode.
+
+    Raises: InputError if the file is missing, or as `load_weights` does.
+    """
     if not path.is_file():
         raise InputError("the weight file does not exist", str(path), f'Train it: make train ARGS="model={name}"')
     return load_weights(NETWORKS[name](), path)
