@@ -1,4 +1,4 @@
-"""What a detector offers the rest of the package: proposals with gradients, and boxes after suppression."""
+"""Detector interface: proposals with gradients, and boxes after non-maximum suppression."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from torch import Tensor
 class BevWindow:
     """Part of the detector's bird's-eye grid, in cells.
 
-    The network runs on the outer rectangle; proposals are reported for the core alone. The ring between
-    them is the receptive field's margin, so that what the core reports equals the full scene's result.
-    Cell (0, 0) is the grid's corner at the least x and y.
+    The network runs on the outer rectangle (x0, y0, num_x, num_y) and returns proposals of the core only. The ring
+    between the two rectangles is the margin of the receptive field: proposals of the core equal those of the full
+    scene. Cell (0, 0) is the corner of the grid with the smallest x and y.
     """
 
     x0: int
@@ -32,12 +32,12 @@ class BevWindow:
 
 @dataclass(frozen=True)
 class Proposals:
-    """Every anchor's box and logit before suppression.
+    """Box and logit of every anchor before non-maximum suppression.
 
     boxes: (A, 7) float32, detached, network frame (x, y, z, dx, dy, dz, heading), metres and radians.
     logits: (A,) differentiable w.r.t. the points; the score is sigmoid(logit).
-    anchor_index: (A,) int64, the anchor's index in the FULL grid (the same for any window).
-    reported: (A,) bool, those that suppression is given, as the peaks of a heat map; None: all.
+    anchor_index: (A,) int64, index of the anchor in the FULL grid (the same for any window).
+    reported: (A,) bool, True for proposals that enter suppression, e.g. the peaks of a heat map; None: all enter.
     """
 
     boxes: Tensor
@@ -48,22 +48,19 @@ class Proposals:
 
 @dataclass(frozen=True)
 class Detections:
-    """Boxes kept by suppression, best first.
-
-    boxes: (K, 7) float64, network frame; scores: (K,) float64 in [0, 1].
-    """
+    """Boxes after suppression, best first: boxes (K, 7) float64, network frame; scores (K,) float64 in [0, 1]."""
 
     boxes: npt.NDArray[np.float64]
     scores: npt.NDArray[np.float64]
 
 
 class Detector(Protocol):
-    """A 3D vehicle detector. Points are in the network frame: z measured from the ground."""
+    """3D vehicle detector. Points are in the network frame: z is measured from the ground."""
 
     name: str
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
-        """Smallest window whose proposals with anchor centres within radius_m equal the full scene's."""
+        """Return the smallest window whose proposals with anchor centres within radius_m equal the full scene's."""
         ...
 
     @abstractmethod
@@ -74,5 +71,5 @@ class Detector(Protocol):
     def detect(
         self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
     ) -> Detections:
-        """Boxes after rotated suppression. Not differentiable."""
+        """Return the boxes after rotated non-maximum suppression. Not differentiable."""
         ...

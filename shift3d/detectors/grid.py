@@ -1,8 +1,8 @@
-"""The bird's-eye grid of PointPillars, and which pillar each point falls into.
+"""Bird's-eye grid of PointPillars, and assignment of points to pillars.
 
-Voxelisation is dynamic: a pillar keeps every point, and there is no limit on their number, so the order of
-the points cannot matter and no point loses its gradient. Points are sorted by (pillar, x, y, z), which makes
-every later reduction the same to the bit however the input was ordered.
+Voxelisation is dynamic: a pillar keeps all its points, without a limit. The order of the input points therefore does
+not matter, and no point loses its gradient. Points are sorted by (pillar, x, y, z), so every later reduction is the
+same bit for bit for any input order.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from shift3d.detectors.base import BevWindow
 
 @dataclass(frozen=True)
 class Grid:
-    """A square-celled grid over the ground; metres, network frame. Bounds are half-open: [min, max)."""
+    """Grid of square cells on the ground; metres, network frame. Bounds are half-open: [min, max)."""
 
     x_min_m: float = -74.88
     y_min_m: float = -74.88
@@ -40,9 +40,9 @@ WAYMO_GRID = Grid()
 class Pillars:
     """Points grouped by pillar.
 
-    order: (K,) int64, rows of the input that lie inside, sorted by (pillar, x, y, z).
-    pillar: (K,) int64, for each sorted point the index of its pillar in 0..P-1.
-    counts: (P,) int64, points in each pillar. cell_x, cell_y: (P,) int64, the pillar's cell in the full grid.
+    order: (K,) int64, input rows of the points inside the window, sorted by (pillar, x, y, z).
+    pillar: (K,) int64, pillar index 0..P-1 of each sorted point.
+    counts: (P,) int64, number of points per pillar. cell_x, cell_y: (P,) int64, cell of the pillar in the full grid.
     """
 
     order: Tensor
@@ -57,7 +57,7 @@ def full_window(grid: Grid) -> BevWindow:
 
 
 def core_cells(window: BevWindow) -> tuple[Tensor, Tensor]:
-    """(h,) lines and (w,) columns of the window's core, int64, in the full grid."""
+    """Return the rows (h,) and columns (w,) of the window's core in the full grid, int64."""
     lines = torch.arange(window.core_y0, window.core_y0 + window.core_num_y)
     return lines, torch.arange(window.core_x0, window.core_x0 + window.core_num_x)
 
@@ -65,10 +65,10 @@ def core_cells(window: BevWindow) -> tuple[Tensor, Tensor]:
 def cells_of(
     points: Tensor, grid: Grid, window: BevWindow
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """(N,) column and line of every point's cell in the full grid, whole numbers, and whether the point counts.
+    """Compute the column and row (N,) of each point's cell in the full grid, and a mask (N,) of the valid points.
 
-    points: (N, 3) float, network frame. A point that is outside the window or the height range or is not finite
-    does not count. The same cells whatever the precision: computed in float64.
+    points: (N, 3) float, network frame. A point is invalid if it is outside the window or the height range, or not
+    finite. Cells are whole numbers, computed in float64: they do not depend on the precision of the points.
     """
     x, y, z = points.detach().to("cpu", torch.float64).numpy().T
     with np.errstate(invalid="ignore", over="ignore"):
@@ -83,9 +83,9 @@ def cells_of(
 
 
 def side_by_side(parts: Sequence[Pillars], sizes: Sequence[int]) -> Pillars:
-    """The pillars of several clouds as those of one cloud, which holds them one after the other.
+    """Merge the pillars of several point clouds into the pillars of the concatenated cloud.
 
-    sizes: points of each cloud. Cells may then stand for several pillars, one of each cloud.
+    sizes: number of points of each cloud. Several pillars, one of each cloud, may have the same cell.
     """
     if len(parts) == 1:
         return parts[0]
@@ -102,10 +102,10 @@ def side_by_side(parts: Sequence[Pillars], sizes: Sequence[int]) -> Pillars:
 
 
 def assign_pillars(points: Tensor, grid: Grid, window: BevWindow) -> Pillars:
-    """Group points by pillar; points outside the window, the height range or not finite are left out.
+    """Group points by pillar; leave out points outside the window or the height range, or not finite.
 
-    points: (N, 3) float, network frame. Nothing here is differentiable: a point on a pillar's edge flips with
-    the floor, and the gradient of that flip is zero.
+    points: (N, 3) float, network frame. Not differentiable: a point on the edge of a pillar changes its pillar with
+    the floor function, whose gradient is zero.
     """
     cell_x, cell_y, inside = cells_of(points, grid, window)
     rows = np.nonzero(inside)[0]
@@ -116,7 +116,7 @@ def assign_pillars(points: Tensor, grid: Grid, window: BevWindow) -> Pillars:
     starts = np.flatnonzero(np.diff(flat, prepend=-1))
     counts = np.diff(starts, append=flat.size)
     cells = flat[starts]
-    # Grouped on the CPU wherever the points are: sorting must give the same order on every device.
+    # Grouped on the CPU even if the points are on another device: sorting must give the same order on every device.
     return Pillars(
         order=torch.from_numpy(rows[by_value]).to(points.device),
         pillar=torch.from_numpy(np.repeat(np.arange(starts.size), counts)).to(points.device),

@@ -1,4 +1,4 @@
-"""Detectors by name."""
+"""Loading of detectors by name."""
 
 from __future__ import annotations
 
@@ -17,10 +17,7 @@ from shift3d.errors import InputError
 def load_detector(
     name: str = "pointpillars", path: Path | str | None = None, precision: Precision = "float32"
 ) -> TrainedDetector:
-    """A detector by name with the shipped weights, or those of `path`.
-
-    Raises: InputError for an unknown name or bad weights.
-    """
+    """Load a detector of shift3d, weights shipped or from `path`. Raises: InputError: unknown name, bad weights."""
     if name not in NETWORKS:
         remedy = f"One of: {', '.join([*DETECTOR_NAMES, *FOREIGN, OWN, ONNX])}"
         raise InputError(f"unknown detector {name!r}", where="detector", remedy=remedy)
@@ -35,13 +32,13 @@ def detector_of(
     precision: Precision,
     layout: Mapping[str, Any] | None = None,
 ) -> Detector:
-    """A trained detector, the user's own from a Python file, an ONNX file, or one of another codebase.
+    """Load a detector of shift3d, the user's own from a Python file, an ONNX file, or one of another codebase.
 
-    path: of weights, None: shipped ones, or none at all; of an ONNX file, which has one precision alone. layout: of a
-    foreign detector, see `foreign.layout`.
+    path: weights (None: the shipped weights, or no weights), or an ONNX file, which ignores `precision`.
+    module: Python file of the user's own detector. layout: of a foreign detector, see `foreign.layout`.
 
     Raises: InputError as `load_detector`, `own.load_own`, `onnx_detector.load_onnx` and `foreign.detector.load_foreign`
-        do; a file or a config that is not given.
+        do, or if a required file or config is not given.
     """
     if name in FOREIGN:
         if path is None or layout is None:

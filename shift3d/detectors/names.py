@@ -1,4 +1,4 @@
-"""The detectors by name: the one list that settings, commands and weights go by. Imports nothing heavy."""
+"""Names of the detectors: the single list for settings, commands and weights. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ TrainedName = Literal["pointpillars", "centerpoint", "sst", "sst_small"]
 ForeignName = Literal["openpcdet", "mmdet3d"]
 DetectorName = Literal[TrainedName, ForeignName, "own", "onnx"]
 DETECTOR_NAMES: tuple[str, ...] = get_args(TrainedName)
-"""Detectors of shift3d."""
+"""Detectors that shift3d ships."""
 COMPILED = ("pointpillars", "centerpoint")
-"""Those that can be written as ONNX files, see `detectors.compiled`."""
+"""Detectors that can be exported as ONNX files, see `detectors.compiled`."""
 OWN = "own"
-"""The user's own, see `detectors.own`."""
+"""The user's own detector, see `detectors.own`."""
 FOREIGN: tuple[str, ...] = get_args(ForeignName)
-"""Trained by other codebases, see `detectors.foreign`."""
+"""Detectors trained with other codebases, see `detectors.foreign`."""
 ONNX = "onnx"
 """An ONNX file, which gives no gradient, see `detectors.compiled`."""
 GRID_REACH_M = 74.88
-"""How far the grid of every shipped detector goes in x and y, either way: see `grid.WAYMO_GRID`."""
+"""Half extent in x and y of the grid of every shipped detector: see `grid.WAYMO_GRID`."""

@@ -1,4 +1,4 @@
-"""Greedy suppression of overlapping boxes by exact rotated overlap in bird's-eye view."""
+"""Greedy non-maximum suppression (NMS) by exact IoU of rotated boxes in bird's-eye view (BEV)."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def rotated_nms(
     max_kept: int = MAX_KEPT,
     until: npt.NDArray[np.bool_] | None = None,
 ) -> npt.NDArray[np.int64]:
-    """Indices of the boxes kept, best score first; equal scores keep the lower index first.
+    """Return the indices of the kept boxes, highest score first; of equal scores the lower index comes first.
 
-    boxes: (N, 7) metres; scores: (N,). A box is dropped when its BEV IoU with a kept one is above
-    iou_threshold. Exact overlaps are computed only for boxes whose circumscribed circles meet. until: (N,) boxes; the
-    first of these that is kept is the last of all, as no later one changes which are kept before. Not
-    differentiable. Source: the detector's public config; deterministic order is our choice.
+    boxes: (N, 7) metres; scores: (N,). A box is dropped if its BEV IoU with a kept box is above iou_threshold. Exact
+    overlaps are computed only for boxes whose circumscribed circles meet. until: (N,) bool; suppression stops after it
+    has kept the first of these boxes, because later boxes cannot change the ones already kept. Not differentiable.
+    Source: the detector's public config; deterministic order is our choice.
     """
     order = np.argsort(-scores, kind="stable")
     ordered = np.asarray(boxes, dtype=np.float64)[order]
@@ -56,14 +56,13 @@ def suppress(
     among: Tensor | None = None,
     until: npt.NDArray[np.bool_] | None = None,
 ) -> Detections:
-    """Proposals to boxes: those with at least score_threshold, best first, without the overlapping ones.
+    """Turn proposals with at least score_threshold into boxes without overlaps, highest score first.
 
-    among: (A,) bool, of those that the detector reports the proposals that may be kept; None: all. until: (A,) bool,
-    see `rotated_nms`; with it all of them take part, else at most MAX_BEFORE_NMS go in and MAX_KEPT are kept: a box
-    that is asked for counts however many score higher. Equal scores come in the order of their logits: in float32 every
-    logit above 17 has the score 1. Equal logits come in the order of the proposals. A NaN reaches no threshold. Not
-    differentiable.
-    Source: the public Waymo config; until and the order of equals are our choice.
+    among: (A,) bool, the reported proposals that may be kept; None: all. until: (A,) bool, see `rotated_nms`. Without
+    `until` at most MAX_BEFORE_NMS proposals enter and MAX_KEPT are kept; with `until` there is no limit, so that one of
+    its boxes counts no matter how many boxes score higher. Equal scores are sorted by logit, because in float32 every
+    logit above 17 has the score 1; equal logits keep the order of the proposals. NaN passes no threshold. Not
+    differentiable. Source: the public Waymo config; until and the order of equals are our choice.
     """
     logits = proposals.logits.detach()
     scores = torch.sigmoid(logits).double().numpy()
@@ -81,14 +80,14 @@ def suppress(
 
 
 class SuppressedProposals(Detector):
-    """A detector whose boxes are its proposals after suppression."""
+    """Detector whose boxes are its proposals after non-maximum suppression."""
 
     def detect(
         self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
     ) -> Detections:
-        """Boxes after suppression, best first; at most 4096 before and 500 after. Not differentiable.
+        """Return the boxes after suppression, highest score first: at most 4096 enter, 500 remain. Not differentiable.
 
-        In a window, suppression sees the core's proposals alone.
+        With a window, only proposals of its core enter suppression.
         Source: the public Waymo config (thresholds 0.1 and 0.25, 4096 and 500).
         """
         with torch.no_grad():

@@ -1,9 +1,8 @@
-"""A detector of the user's own, from a Python file that the settings name.
+"""The user's own detector, loaded from a Python file that the settings name.
 
-The file has a function ``load(weights)``, which is given the path of a file of weights, or None, and returns a function
-or module of points (N, 3) that gives boxes (A, 7) and logits (A,). docs/guides/detectors.md has one to begin with. The
-file is imported, so it runs with the rights of whoever starts the sweep: that is what naming it asks for. Nothing else
-that settings name is run.
+The file defines a function ``load(weights)``. It takes the path of a weight file, or None, and returns a function or
+module that maps points (N, 3) to boxes (A, 7) and logits (A,). docs/guides/detectors.md has an example. shift3d imports
+it, so its code runs with the rights of the user who starts the sweep. No other file named in the settings is executed.
 """
 
 from __future__ import annotations
@@ -36,14 +35,14 @@ _PROBE_POINTS = 2000
 
 
 class OwnDetector(SuppressedProposals):
-    """A model of points (N, 3) behind the `Detector` interface. It sees the whole scene in every call.
+    """Model of points (N, 3) behind the `Detector` interface. The model gets the whole scene in every call.
 
     Args:
-        model: points (N, 3), network frame (x forward, y left, z up from the ground below the sensor, metres), to boxes
-            (A, 7) (x, y, z of the centre, dx, dy, dz, heading) in that frame and logits (A,) that a vehicle is there;
-            A the same for any points, and logits differentiable w.r.t. the points.
-        where: named in errors.
-        dtype: of the points that it is given.
+        model: maps points (N, 3), network frame (x forward, y left, z up from the ground below the sensor, metres), to
+            boxes (A, 7) (x, y, z of the centre, dx, dy, dz, heading) in that frame and logits (A,) of a vehicle in each
+            box. A is the same for any points; the logits are differentiable w.r.t. the points.
+        where: name of the file in error messages.
+        dtype: of the points that the model gets.
 
     Differentiable w.r.t. points, through the logits; boxes are detached.
     """
@@ -53,11 +52,11 @@ class OwnDetector(SuppressedProposals):
         self._model, self._where, self._dtype = model, where, dtype
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
-        """See `Detector`: one window, which stands for everything."""
+        """See `Detector`: every call returns the same window, which means the whole scene."""
         return _WHOLE
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """See `Detector`. Raises InputError: the answer is no boxes and logits, or has NaN."""
+        """See `Detector`. Raises InputError if the model does not return boxes and logits, or returns NaN."""
         with _clear_errors(self._where):
             answer = self._model(points.to(self._dtype))
         boxes, logits = _checked(answer, self._where)
@@ -65,12 +64,12 @@ class OwnDetector(SuppressedProposals):
 
 
 def load_own(module: Path, weights: Path | None, precision: Precision = "float32") -> OwnDetector:
-    """The detector of a file, tried on random points. Anything random in ``load`` is drawn from one seed.
+    """Load a detector from a Python file and test it on random points. ``load`` runs with a fixed torch seed.
 
-    precision: "float64" makes the parameters of a torch module float64; the others leave them as they are.
+    precision: "float64" converts the parameters of a torch module to float64; other values leave them unchanged.
 
-    Raises InputError: naming the file and its line: it is missing, fails, has no ``load``, or the model's answer is not
-    what `OwnDetector` says, differs between two calls, or does not depend on the points differentiably.
+    Raises InputError with the file and line if the file is missing, fails or has no ``load``, or if the model's output
+    is not as `OwnDetector` requires, differs between two calls, or is not differentiable w.r.t. the points.
     """
     if not module.is_file():
         raise InputError("no such file", str(module), "Give detector.module=FILE.py")
@@ -92,14 +91,14 @@ def load_own(module: Path, weights: Path | None, precision: Precision = "float32
 
 
 class _SourceLoader(importlib.machinery.SourceFileLoader):
-    """Compiles what the file holds now: a compiled file beside it may be of a content with another digest."""
+    """Loader that always compiles the source: a .pyc file may belong to a content with another digest."""
 
     def path_stats(self, path: str | bytes) -> Any:
         raise OSError("compiled files are neither read nor written")
 
 
 def _imported(path: Path) -> Any:
-    """The module of a file, under a name that its place and its content give it."""
+    """Import a file as a module whose name is a digest of its path and content."""
     key = str(path.resolve()).encode() + b"\0" + path.read_bytes()
     name = f"shift3d_own_{hashlib.blake2b(key, digest_size=16).hexdigest()}"
     if name not in sys.modules:
@@ -107,7 +106,7 @@ def _imported(path: Path) -> Any:
         spec = importlib.util.spec_from_file_location(name, path, loader=loader)
         assert spec is not None
         module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module  # where dataclasses look for it while it is imported
+        sys.modules[name] = module  # dataclasses look the module up there during its import
         try:
             loader.exec_module(module)
         except BaseException:
@@ -136,7 +135,7 @@ def _try(detector: OwnDetector, where: str) -> None:
         raise InputError(f"{error.what}, given no points", error.where, error.remedy) from error
     if len(empty.logits) != len(first.logits):
         raise InputError(f"{len(empty.logits)} boxes without points, {len(first.logits)} with", where, _GUIDE)
-    # No detector of logits finds a vehicle in every box where there are no points; one of probabilities seems to.
+    # Real logits are not all >= 0, since without points no box holds a vehicle: these must be probabilities.
     if all(bool(((found.logits >= 0) & (found.logits <= 1)).all()) for found in (first, empty)):
         raise InputError("its logits all lie between 0 and 1", where, "Return them before the sigmoid")
 
@@ -155,7 +154,7 @@ def _checked(answer: Any, where: str) -> tuple[Tensor, Tensor]:
 
 @contextlib.contextmanager
 def _clear_errors(where: str) -> Iterator[None]:
-    """What the user's code raises as an InputError that names the line of the file."""
+    """Convert exceptions of the user's code to InputErrors that name the line of the file."""
     try:
         yield
     except InputError:

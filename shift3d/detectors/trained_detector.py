@@ -1,4 +1,4 @@
-"""A trained network behind the Detector interface: exact windows, gradients to the points, boxes."""
+"""Trained network behind the Detector interface: exact windows, gradients to the points, boxes."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from shift3d.errors import InputError
 
 
 class TrainedDetector(SuppressedProposals):
-    """A trained network for inference on CPU.
+    """Trained network for inference on the CPU.
 
-    precision: "float32" (default); "bfloat16" takes the large products in half the bytes (an approximation: its
-    error is measured where it is offered); "float64" is the reference. Points are (N, 3) in the network frame;
-    their dtype follows the precision.
+    precision: "float32" (default); "bfloat16" computes the large matrix products with half the bytes (an approximation:
+    its error is measured where it is offered); "float64" is the reference. Points (N, 3) are in the network frame and
+    are converted to the dtype of the precision.
     """
 
     def __init__(self, net: DetectorNet, precision: Precision = "float32") -> None:
@@ -34,15 +34,15 @@ class TrainedDetector(SuppressedProposals):
         self.grid = net.grid
         self._dtype = arithmetic(precision)[0]
         self._net = net.inference(precision)
-        self._cells: SparseBackbone | None = None  # its matrices, made when first asked for
+        self._cells: SparseBackbone | None = None  # made by the first call of `incremental` that needs it
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
-        """Smallest window whose proposals with anchor centres within radius_m equal the full scene's.
+        """Return the smallest window whose proposals with anchor centres within radius_m equal the full scene's.
 
-        centre_xy: metres, network frame. The core covers the disc (a square, cut at the grid's border), the
-        window adds the receptive field; both are what the network allows (PointPillars: multiples of its stride).
+        centre_xy: metres, network frame. The core is the bounding square of the disc, cut at the border of the grid.
+        The window adds the receptive field. The network rounds both (PointPillars: to multiples of its stride).
 
-        Raises: InputError if the disc does not meet the grid or is none. Source: our choice, the paper is silent.
+        Raises: InputError if the disc is not finite or lies outside the grid. Source: our choice, the paper is silent.
         """
         if not all(isfinite(value) for value in (*centre_xy, radius_m)):
             raise InputError(f"no disc of {radius_m:g} m around {centre_xy}", where="detector window")
@@ -63,11 +63,11 @@ class TrainedDetector(SuppressedProposals):
         return outer_low, outer_high - outer_low, core_low, core_high - core_low
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """Every proposal of the window's core (of the whole grid when window is None), scored.
+        """Score every proposal of the window's core, or of the whole grid if window is None.
 
-        points: (N, 3), network frame, metres; those out of range are ignored, none at all is a valid scene.
-        Differentiable w.r.t. points, through the logits; boxes are detached. Deterministic to the bit, also
-        under permutation of the points, for a fixed number of threads.
+        points: (N, 3), network frame, metres; points out of range are ignored, N = 0 is a valid scene. Differentiable
+        w.r.t. points, through the logits; boxes are detached. Deterministic bit for bit, also under permutation of the
+        points, for a fixed number of threads.
         """
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"points have shape {tuple(points.shape)}, not (N, 3)", where="detector input")
@@ -75,21 +75,21 @@ class TrainedDetector(SuppressedProposals):
         return self._answer(self._net.features([points.to(self._dtype)], [window]), window)
 
     def _answer(self, features: Tensor, window: BevWindow) -> Proposals:
-        """Proposals from the features (1, C, h, w) of a window's core."""
+        """Compute proposals from the features (1, C, h, w) of a window's core."""
         logits = self._net.heads.logits(features)[0].to(self._dtype)
         with torch.no_grad():
             rows = self._net.heads.box_rows(features.detach())
         return self._proposals(logits, rows[0].to(self._dtype), window)
 
     def _proposals(self, logits: Tensor, rows: Tensor, window: BevWindow) -> Proposals:
-        """Proposals from class logits (A,) and the rows of the box layers (cells, R) of a window's core."""
+        """Compute proposals from class logits (A,) and box layer outputs (cells, R) of a window's core."""
         heads, grid, window = self._net.heads, self._net.head_grid, self._net.head_window(window)
         with torch.no_grad():
             boxes, reported = heads.decode(rows, grid, window), heads.reported(logits, window)
         return Proposals(boxes.float(), logits, proposal_indices(heads.per_cell, grid, window), reported)
 
     def incremental(self, window: BevWindow) -> IncrementalInference:
-        """Proposals inside a window for many frames of one scene, at the cost of what differs between them."""
+        """Return incremental inference in a window: later frames of a scene cost only what changed between frames."""
         net = self._net
         if isinstance(net, SstNet):
             return IncrementalTokens(net, window, self._dtype, self.proposals, self._answer)

@@ -1,1 +1,1 @@
-"""Metrics."""
+"""Detection metrics, breakdowns by group, confidence intervals and failure rules."""

@@ -1,4 +1,4 @@
-"""Average precision from detections taken best score first, with objects and detections that do not count."""
+"""Average precision with greedy matching by score, and with ignored objects and detections."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from shift3d.evaluation.frames import Comparison, Flags, Floats
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """What became of all frames' detections as the score threshold moves.
+    """Precision-recall curve over all frames as the score threshold varies.
 
-    average_precision: AP in [0, 1]; average_precision_heading: APH, at most AP. Both None where there was nothing
-    to find. score_threshold, recall, precision, heading_precision: (K,) float64, one row a point of the curve;
-    heading_precision counts each right detection by its heading accuracy. num_truth: objects to find.
+    average_precision: AP in [0, 1]; average_precision_heading: APH, at most AP. Both are None without an object to
+    find. score_threshold, recall, precision, heading_precision: (K,) float64, one row per point of the curve;
+    heading_precision weights each true positive by its heading accuracy. num_truth: number of objects to find.
     """
 
     average_precision: float | None
@@ -30,10 +30,10 @@ class PrecisionRecall:
 
 @dataclass(frozen=True)
 class FrameMatches:
-    """What became of one frame's detections; those that do not count are left out.
+    """True and false positives of one frame, without the ignored detections.
 
-    scores: (K,) float64; is_true: (K,) bool, true positive or not; heading_accuracy: (K,) float64, 0 for those that
-    are not true; num_truth: vehicles that count.
+    scores: (K,) float64; is_true: (K,) bool, True for true positives; heading_accuracy: (K,) float64, 0 for false
+    positives; num_truth: number of vehicles that count.
     """
 
     scores: Floats
@@ -43,16 +43,15 @@ class FrameMatches:
 
 
 def match_frame(comparison: Comparison, truth_counts: Flags, boxes_count: Flags, iou_threshold: float) -> FrameMatches:
-    """Match detections, best score first, each to the free vehicle it overlaps most.
+    """Match each detection, highest score first, to the unmatched vehicle with the largest overlap.
 
-    truth_counts: (M,), false for vehicles that are ignored (too far, too few points): a detection that matches only
-    such a one is neither right nor wrong, and several may match the same one. boxes_count: (K,), in the order of
-    ``comparison.found``, false for detections outside the evaluated region: they are dropped unless they match a
-    vehicle that counts. A match needs IoU >= iou_threshold.
+    truth_counts: (M,), False for ignored vehicles (too far, too few points): a detection that matches only ignored
+    vehicles is neither a true nor a false positive, and several detections may match the same ignored vehicle.
+    boxes_count: (K,), in the order of ``comparison.found``, False for detections outside the evaluated region: they are
+    dropped unless they match a vehicle that counts. A match needs IoU >= iou_threshold.
 
-    Source: KITTI's rules for ignored objects; greedy by score as in VOC and nuScenes (our choice: KITTI's
-    development kit goes through the objects, which differs only where several detections overlap one object by
-    more than the threshold).
+    Source: KITTI's rules for ignored objects; greedy by score as in VOC and nuScenes (our choice: KITTI's development
+    kit loops over objects, which differs only if several detections overlap one object by more than the threshold).
     """
     scores = np.asarray(comparison.found.scores, dtype=np.float64)
     free, is_true, is_false = truth_counts.copy(), *np.zeros((2, len(scores)), dtype=bool)
@@ -71,32 +70,29 @@ def match_frame(comparison: Comparison, truth_counts: Flags, boxes_count: Flags,
 
 
 def area_exact(recall: Floats, precision: Floats) -> float:
-    """Area under the curve: at every recall the highest precision there or beyond, over all recall steps.
-
-    Source: VOC 2010 and later; no sampling at fixed recalls.
-    """
+    """Compute the exact area under interpolated precision (best at equal or higher recall). Source: VOC from 2010."""
     envelope = np.maximum.accumulate(precision[::-1])[::-1]
     return float(np.sum(np.diff(recall, prepend=0.0) * envelope))
 
 
 def area_r40(recall: Floats, precision: Floats) -> float:
-    """Mean over the recalls 1/40, 2/40, ..., 1 of the highest precision there or beyond, 0 where none is reached.
+    """Compute the mean interpolated precision at the recalls 1/40, 2/40, ..., 1; 0 at recalls that are not reached.
 
-    Source: KITTI's 40 recall positions (since 2019). The development kit looks for 41 score thresholds that come
-    closest to these recalls, which gives 9/40 for ten objects all found first; the definition itself gives 1, and is
-    what is computed here.
+    Source: KITTI's 40 recall positions (since 2019). This function follows the definition. KITTI's development kit
+    instead uses the 41 score thresholds closest to these recalls: for ten objects that are all found first it gives
+    9/40, the definition gives 1.
     """
     envelope = np.append(np.maximum.accumulate(precision[::-1])[::-1], 0.0)
-    # A recall of 3/40 in floating point must reach the position 3/40.
+    # The tolerance makes a floating-point recall of 3/40 reach the position 3/40.
     first = np.searchsorted(recall, np.arange(1, 41) / 40.0 - 1e-9)
     return float(np.mean(envelope[first]))
 
 
 def greedy_curve(frames: Iterable[FrameMatches], at_40_recalls: bool) -> PrecisionRecall:
-    """The curve over all frames, and AP and APH: at KITTI's 40 recalls, or the exact area.
+    """Compute the curve over all frames with AP and APH: at KITTI's 40 recalls, or as the exact area.
 
-    Equal scores enter together. APH counts each true detection by its heading accuracy in the precision; neither
-    KITTI nor VOC has it (our choice, after Waymo's).
+    Detections with equal scores form one point of the curve. The precision for APH weights each true positive by its
+    heading accuracy; KITTI and VOC have no APH (our choice, after Waymo's).
     """
     matches = list(frames)
     num_truth = sum(frame.num_truth for frame in matches)

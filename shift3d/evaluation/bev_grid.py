@@ -1,4 +1,4 @@
-"""Bird's-eye-view grid of how far detection scores fall."""
+"""Bird's-eye-view grid of the mean reduction of detection scores."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BevGrid:
-    """Cells that hold at least one vehicle, by x then y of their lower corner (scene frame, metres).
+    """Cells with at least one vehicle, sorted by x, then y of their lower corner (scene frame, metres).
 
     corner_xy_m: (C, 2) float64. count: (C,) int64 vehicles. mean_before, mean_after: (C,) float64 scores.
     mean_reduction: (C,) float64, mean of before - after.
@@ -28,14 +28,14 @@ class BevGrid:
 
 
 def bev_grid(xy_m: npt.ArrayLike, before: npt.ArrayLike, after: npt.ArrayLike) -> BevGrid:
-    """Mean reduction of the detection score by cell.
+    """Compute the mean reduction of the detection score per cell.
 
     Args:
-        xy_m: (N, 2) where each vehicle was put, scene frame, metres. Corners of cells lie at multiples of
-            `CELL_SIZE_M`; a cell holds its lower edges.
+        xy_m: (N, 2) position of each vehicle, scene frame, metres. Cell corners are at multiples of `CELL_SIZE_M`; a
+            cell includes its lower edges.
         before, after: (N,) scores of the original and of the changed vehicle.
 
-    Raises: ValueError: shapes that differ, a position or a score that is not finite.
+    Raises: ValueError if shapes differ, or a position or score is not finite.
 
     Source: SHIFT3D fig. bev_score (10 m x 10 m cells, average reduction in detection scores).
     """

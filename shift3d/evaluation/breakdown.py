@@ -1,4 +1,4 @@
-"""A detector's quality by range, heading, number of points and kind of vehicle, each number with an interval."""
+"""Breakdown of detector metrics by range, heading, number of points and kind of vehicle, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from shift3d.evaluation.vehicles import ERRORS, VehicleRows, vehicle_rows
 from shift3d.evaluation.waymo import LEVELS, SCORE_CUTOFFS, Assignment, assign, curve_of, cutoff_counts
 
 Statistic = Callable[[Floats, Floats], float | None]
-"""Of errors and the weights of their frames."""
+"""Function of errors and the weights of their frames, e.g. a weighted mean."""
 
 IOU = 0.7
 
 
 @dataclass(frozen=True)
 class BreakdownRow:
-    """A number: of which group, what it measures, its 95 % interval over resampled frames, and how many it is of.
+    """Value of one measure for one group, with its 95 % interval over resampled frames and the number of vehicles.
 
-    measure: AP, APH (Waymo's, LEVEL_1, IoU 0.7), recall, flips, or error_ and a name of ERRORS. statistic: of AP and
-    APH the view, of recall view and IoU, of errors median, mean or std. value: None without a vehicle. low, high: None
-    where these vehicles stand in fewer than two frames.
+    measure: AP, APH (Waymo's, LEVEL_1, IoU 0.7), recall, flips, or error_ and a name of ERRORS. statistic: the view for
+    AP and APH; view and IoU for recall; median, mean or std for errors. value: None without a vehicle. low, high: None
+    if these vehicles occur in fewer than two frames.
     """
 
     by: str
@@ -40,7 +40,7 @@ class BreakdownRow:
 
 @dataclass(frozen=True)
 class Area:
-    """AP or APH, its values over resampled frames, empty where vehicles stand in fewer than two, and of how many."""
+    """AP or APH of `number` vehicles. drawn: values over resampled frames; empty if fewer than two have vehicles."""
 
     value: float | None
     drawn: Sequence[float | None]
@@ -48,9 +48,9 @@ class Area:
 
 
 def overall_areas(frames: Sequence[DetectedFrame]) -> dict[tuple[str, str], Area]:
-    """AP and APH over all vehicles by (measure, view), as in `breakdown`.
+    """Compute AP and APH over all vehicles by (measure, view), as in `breakdown`.
 
-    The same frames are drawn whatever was detected in them, so that two detectors' values are paired.
+    The resampled frames do not depend on the detections, so that values of two detectors are paired.
     """
     weights = frame_weights(len(frames))
     found: dict[tuple[str, str], Area] = {}
@@ -63,11 +63,11 @@ def overall_areas(frames: Sequence[DetectedFrame]) -> dict[tuple[str, str], Area
 
 
 def breakdown(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> tuple[VehicleRows, list[BreakdownRow]]:
-    """Every vehicle that counts, and the numbers of every group, in a fixed order.
+    """Return every vehicle that counts, and the rows of every group in a fixed order.
 
-    AP of a group: vehicles of others are neither right nor wrong. A false alarm belongs to the range and the heading of
-    its own box; it has neither points nor a kind, so that for these each counts by the group's share of all vehicles
-    (our choice). Recall, flips and errors: of vehicles of LEVEL_1, see `vehicles`.
+    AP of a group ignores vehicles of other groups. A false positive belongs to the range and heading of its box. It has
+    no number of points and no kind: in groups by these, each false positive is weighted by the group's share of all
+    vehicles (our choice). Recall, flips and errors cover vehicles of LEVEL_1, see `vehicles`.
     """
     vehicles = vehicle_rows(frames)
     weights = frame_weights(len(frames), draws)
@@ -108,7 +108,7 @@ def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Float
         return curve.average_precision, curve.average_precision_heading
 
     values, number = areas(np.ones(len(counts))), int(numbers.sum())
-    # Of vehicles in one frame every draw would say the same.
+    # If all vehicles are in one frame, every draw gives the same value.
     drawn = list(zip(*map(areas, weights))) if np.count_nonzero(numbers) > 1 else [(), ()]
     return {name: Area(value, own, number) for name, value, own in zip(("AP", "APH"), values, drawn)}
 
@@ -120,7 +120,7 @@ def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floa
     found = eligible & rows.matched
 
     def row(measure: str, statistic: str, owner: Ints, of: Callable[[Floats], float | None]) -> BreakdownRow:
-        """owner: (N,) frame of each vehicle."""
+        """Make a row. owner: (N,) frame of each vehicle."""
         value = of(np.ones(num_frames)) if len(owner) else None
         low, high = interval(map(of, weights) if len(np.unique(owner)) > 1 else ())
         return BreakdownRow(group.by, group.name, measure, statistic, value, low, high, len(owner))

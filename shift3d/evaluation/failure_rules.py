@@ -1,4 +1,4 @@
-"""What the objects share that a detector misses: a few short rules over measured quantities, by a shallow tree."""
+"""Failure rules: a few short conditions on measured quantities that describe missed objects, from shallow trees."""
 
 from __future__ import annotations
 
@@ -10,49 +10,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 DEPTH = 3
-"""Most splits to a leaf: a rule of more conditions is read by nobody."""
+"""Largest depth of a tree, so number of splits per rule: longer rules are hard to read."""
 LEAST_SHARE, LEAST_OBJECTS = 0.025, 8
-"""A rule holds for so large a share of the objects, and for so many: a kind of the wide family has one in 34."""
+"""Least share and least number of objects that a rule covers: a kind of the wide family has one object in 34."""
 LEAST_DROP = 0.05
-"""A rule's mean score lies so far below that of the other objects, where it was found."""
+"""Least difference between the mean score of a rule's objects and that of the other objects left in the search."""
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Condition:
-    """low < quantity <= high; infinite where there is no such bound."""
+    """Condition low < quantity <= high; infinite without a bound."""
 
     quantity: str
     low: float = -math.inf
     high: float = math.inf
 
     def holds(self, values: FloatArray) -> NDArray[np.bool_]:
-        """Of values (N,)."""
+        """True per value of (N,) if it satisfies the condition."""
         return np.asarray((values > self.low) & (values <= self.high))
 
 
 @dataclass(frozen=True)
 class FailureRule:
-    """All of its conditions, at most one a quantity."""
+    """Conjunction of conditions, at most one per quantity."""
 
     conditions: tuple[Condition, ...]
 
     def holds(self, quantities: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
-        """Of N objects. quantities: (N,) by name."""
+        """True per object, (N,), if all conditions hold. quantities: (N,) by name."""
         return np.asarray(np.logical_and.reduce([one.holds(quantities[one.quantity]) for one in self.conditions]))
 
 
 def find_rules(quantities: Mapping[str, FloatArray], scores: FloatArray, most: int = 5) -> list[FailureRule]:
-    """A list of rules under which scores are low; none where nothing tells objects apart.
+    """Find rules whose objects have low scores; an empty list if no quantity separates the objects.
 
-    A regression tree of at most three levels splits the objects. The leaf with the lowest mean is the first rule,
-    where its mean lies at least 0.05 below that of all other objects. The next rule is found in the same way among the
-    objects that no rule before it holds for: so a large effect does not hide a smaller one.
+    A regression tree of at most three levels splits the objects. The leaf with the lowest mean becomes the first rule
+    if its mean is at least 0.05 below that of all other objects. The search repeats among the objects that no earlier
+    rule covers, so that a large effect does not hide a smaller one.
 
-    Args: quantities: (N,) finite values by name. scores: (N,). most: rules to return.
-    Source: CART (Breiman et al. 1984) by scikit-learn; separate and conquer (Fürnkranz 1999). Depth and least numbers
-    are our choice.
+    Args: quantities: (N,) finite values by name. scores: (N,). most: largest number of rules.
+    Source: CART (Breiman et al. 1984) by scikit-learn; separate and conquer (Fürnkranz 1999); limits are our choice.
     """
     least = max(LEAST_OBJECTS, math.ceil(LEAST_SHARE * len(scores)))
     values = {name: np.asarray(column, np.float64) for name, column in quantities.items()}
@@ -68,12 +67,12 @@ def find_rules(quantities: Mapping[str, FloatArray], scores: FloatArray, most: i
 
 
 def _lowest_leaf(quantities: Mapping[str, FloatArray], scores: FloatArray, least: int) -> FailureRule | None:
-    """The rule of one tree, over leaves of at least so many objects."""
+    """Fit one tree with at least `least` objects per leaf; return the rule of its lowest leaf, or None."""
     if len(scores) < 2 * least or not quantities:
         return None
     from sklearn.tree import DecisionTreeRegressor
 
-    # What the smallest rule takes of the variance; a split that takes less makes none.
+    # Variance reduction of the smallest admissible rule; a split with a smaller reduction cannot make a rule.
     least_decrease = LEAST_SHARE * (1 - LEAST_SHARE) * LEAST_DROP**2
     model = DecisionTreeRegressor(
         max_depth=DEPTH, min_samples_leaf=least, min_impurity_decrease=least_decrease, random_state=0
@@ -88,7 +87,7 @@ def _lowest_leaf(quantities: Mapping[str, FloatArray], scores: FloatArray, least
 
 
 def _leaves(tree: object, names: Sequence[str], node: int, above: tuple[Condition, ...]) -> list[tuple[Condition, ...]]:
-    """The conditions on the way to every leaf below a node of scikit-learn's tree."""
+    """Return the conditions on the path to every leaf below a node of scikit-learn's tree."""
     left, right = tree.children_left[node], tree.children_right[node]  # type: ignore[attr-defined]
     if left == right:
         return [above]
@@ -98,7 +97,7 @@ def _leaves(tree: object, names: Sequence[str], node: int, above: tuple[Conditio
 
 
 def _merged(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
-    """One condition a quantity, in the order of their first."""
+    """Merge conditions to one per quantity, in the order of first occurrence."""
     merged: dict[str, Condition] = {}
     for one in conditions:
         other = merged.get(one.quantity, Condition(one.quantity))
@@ -107,6 +106,6 @@ def _merged(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
 
 
 def aspect_deg(x_m: FloatArray, y_m: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """Angle between a vehicle's long axis and the line of sight to it, 0 (seen from an end) to 90 (from a side)."""
+    """Compute the angle between a vehicle's long axis and the line of sight: 0 (from an end) to 90 (from a side)."""
     along = np.cos(np.asarray(yaw_rad) - np.arctan2(y_m, x_m))
     return np.asarray(np.degrees(np.arccos(np.clip(np.abs(along), 0.0, 1.0))))

@@ -1,4 +1,4 @@
-"""What a detector was to find in one frame, what it found, and how the two overlap: all that metrics read."""
+"""Ground truth, detections and their overlap per frame: the input of all metrics."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ VIEWS: tuple[View, ...] = ("BEV", "3D")
 
 @dataclass(frozen=True)
 class Truth:
-    """The labelled vehicles of a frame, in label order.
+    """Ground truth: the labelled vehicles of a frame, in label order.
 
-    boxes: (M, 7) float64, scene frame, metres and radians. num_points: (M,) int64, points in each box.
-    counts: (M,) bool; false for vehicles that a detector may find and need not (KITTI's vans and trucks):
-    finding one is neither right nor wrong. difficulty: (M,) int64, KITTI's 0 easy, 1 moderate, 2 hard, 3 harder
-    than that; -1 where labels carry none. names: M names as the data set gives them. kinds: M kinds of vehicle, such as
-    "sedan+roof_box": a body type and what it carries; empty where the labels say nothing.
+    boxes: (M, 7) float64, scene frame, metres and radians. num_points: (M,) int64, number of points in each box.
+    counts: (M,) bool; False for ignored vehicles (KITTI's vans and trucks): a detection of one is neither a true nor a
+    false positive. difficulty: (M,) int64, KITTI's 0 easy, 1 moderate, 2 hard, 3 harder; -1 without. names: M class
+    names of the data set. kinds: M kinds, such as "sedan+roof_box" (body type and attachments); empty without.
     """
 
     boxes: Floats
@@ -41,18 +40,17 @@ class Truth:
         return range_of(self.boxes)
 
     def where(self, kept: Flags) -> Truth:
-        """Those that are kept, (M,) bool."""
+        """Return the vehicles of a mask (M,) bool."""
         texts = [tuple(text for text, own in zip(column, kept) if own) for column in (self.names, self.kinds)]
         return Truth(self.boxes[kept], self.num_points[kept], self.counts[kept], self.difficulty[kept], *texts)
 
 
 @dataclass(frozen=True)
 class Found:
-    """The detections of a frame.
+    """Detections of a frame.
 
-    boxes: (K, 7) float64, scene frame. scores: (K,) float64 in [0, 1]. labelled: (K,) bool; false where a box
-    stands outside what the data set has labels for: such a box is no error. image_height_px: (K,) float64, the
-    box's height in the camera image, NaN without a camera.
+    boxes: (K, 7) float64, scene frame. scores: (K,) float64 in [0, 1]. labelled: (K,) bool; False outside the labelled
+    region: no error. image_height_px: (K,) float64, height of the box in the camera image, NaN without a camera.
     """
 
     boxes: Floats
@@ -66,14 +64,14 @@ class Found:
         return range_of(self.boxes)
 
     def at(self, rows: Ints | Flags) -> Found:
-        """Those of some rows, in their order."""
+        """Return the detections of the given rows, in their order."""
         heights = np.asarray(self.image_height_px)[rows]
         return Found(self.boxes[rows], self.scores[rows], self.labelled[rows], heights)
 
 
 @dataclass(frozen=True)
 class DetectedFrame:
-    """One frame of a data set with everything that its metrics are computed from."""
+    """Ground truth and detections of one frame of a data set."""
 
     scene: str
     truth: Truth
@@ -82,7 +80,7 @@ class DetectedFrame:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A frame seen one way: detections best score first, and their overlap with the truth.
+    """Frame in one view (BEV or 3D): detections, highest score first, and their overlap with the ground truth.
 
     overlap: (K, M) float64 IoU in the view. heading_accuracy: (K, M) float64 in [0, 1].
     """
@@ -94,9 +92,9 @@ class Comparison:
 
 
 def compare(frame: DetectedFrame, view: View) -> Comparison:
-    """Order the detections by score and overlap them with the truth.
+    """Sort the detections by score and compute their overlap with the ground truth.
 
-    Equal scores are ordered by their boxes, so that the order in which detections are given changes nothing.
+    Equal scores are sorted by their boxes, so that the result does not depend on the input order.
     """
     found = frame.found.at(np.lexsort((*frame.found.boxes.T[::-1], -frame.found.scores)))
     overlap = (iou_bev if view == "BEV" else iou_3d)(found.boxes, frame.truth.boxes)
@@ -104,7 +102,7 @@ def compare(frame: DetectedFrame, view: View) -> Comparison:
 
 
 def heading_accuracy(a: Floats, b: Floats) -> Floats:
-    """1 - |difference of headings| / pi of boxes (K, 7) and (M, 7), wrapped: (K, M), 1 where they agree, 0 at pi.
+    """Compute 1 - |wrapped difference of headings| / pi of boxes (K, 7) and (M, 7): (K, M), 1 if equal, 0 at pi.
 
     Source: Waymo's APH (ComputeHeadingAccuracy in its metrics library).
     """
@@ -115,6 +113,6 @@ def heading_accuracy(a: Floats, b: Floats) -> Floats:
 
 
 def range_of(boxes: Floats) -> Floats:
-    """(N,) horizontal distance of the centres of boxes (N, 7) from the sensor, metres."""
+    """Compute the horizontal distance (N,) of the centres of boxes (N, 7) from the sensor, metres."""
     distance: Floats = np.hypot(boxes[:, 0], boxes[:, 1])
     return distance

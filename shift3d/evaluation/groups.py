@@ -1,4 +1,4 @@
-"""Groups of vehicles that a detector's quality is broken down by."""
+"""Groups of vehicles for the breakdown of detector metrics."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PLAIN = "none"
 
 
 def aspect(boxes: Floats) -> tuple[str, ...]:
-    """Of boxes (M, 7), sensor at the origin: which side the beam to the centre meets, within 22.5 degrees."""
+    """Return the side of each box (M, 7) that faces the sensor at the origin within 22.5 degrees, else "oblique"."""
     turn = boxes[:, 6] - np.arctan2(boxes[:, 1], boxes[:, 0])
     away = np.abs(np.mod(turn + np.pi, 2 * np.pi) - np.pi)
     near = np.pi / 8
@@ -27,10 +27,10 @@ def aspect(boxes: Floats) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Group:
-    """Some of the vehicles.
+    """Group of vehicles.
 
-    by: "all", "range", "heading", "points", "body" or "attribute"; name: which. low <= range or number of points <
-    high, where it is by these.
+    by: "all", "range", "heading", "points", "body" or "attribute"; name: of the group. low, high: half-open interval
+    [low, high) of the range or the number of points.
     """
 
     by: str
@@ -40,11 +40,11 @@ class Group:
 
     @property
     def range_m(self) -> tuple[float, float]:
-        """Ranges of the vehicles and of the detections that take part."""
+        """Range interval of the vehicles and detections of the group."""
         return (self.low, self.high) if self.by == "range" else (0.0, MAX_RANGE_M)
 
     def members(self, boxes: Floats, num_points: Ints, kinds: Sequence[str]) -> Flags:
-        """(M,) bool: which vehicles belong to it. kinds: M of them, or none at all."""
+        """Return the mask (M,) bool of the vehicles in the group. kinds: M kinds, or empty."""
         if self.by in ("all", "range"):
             distance = range_of(boxes)
             return np.asarray((distance >= self.range_m[0]) & (distance < self.range_m[1]))
@@ -62,7 +62,7 @@ class Group:
 
 
 def groups_of(kinds: Sequence[str]) -> list[Group]:
-    """All, then by range, heading, points, and what the kinds say: a body type and, after each +, what it carries."""
+    """Return all groups: all, by range, heading and points, and by the body types and attributes ("+...") of kinds."""
     groups = [Group("all", "all")]
     groups += [Group("range", f"{low:g}-{high:g} m", low, high) for low, high in RANGE_BINS_M]
     groups += [Group("heading", name) for name in ASPECTS]

@@ -1,4 +1,4 @@
-"""Confidence intervals by resampling frames: vehicles of one frame are no independent draws."""
+"""Confidence intervals by bootstrap over frames, because vehicles of one frame are not independent samples."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ DRAWS = 500
 
 
 def frame_weights(num_frames: int, draws: int = DRAWS) -> Floats:
-    """(draws, F) how often each frame is drawn, F draws with replacement each. The same for the same numbers.
-
-    Of fewer than two frames there is nothing to draw: (0, F).
-    """
+    """Count draws per frame, (draws, F): F with replacement per row; (0, F) if F < 2. The arguments are the seed."""
     if num_frames < 2:
         return np.zeros((0, num_frames))
     rng = generator("evaluation frames", num_frames, draws)
@@ -28,10 +25,9 @@ def frame_weights(num_frames: int, draws: int = DRAWS) -> Floats:
 
 
 def interval(values: Iterable[float | None]) -> tuple[float | None, float | None]:
-    """Where a statistic lies with 95 % confidence, from its values over resampled frames; None: it had none.
+    """Compute the 95 % interval of a statistic from its values over resampled frames; skip None.
 
-    With fewer than two values there is nothing to tell: (None, None).
-    Source: Efron's percentile bootstrap, frames resampled as clusters.
+    Returns (None, None) for fewer than two values. Source: Efron's percentile bootstrap, frames resampled as clusters.
     """
     known = [value for value in values if value is not None]
     if len(known) < 2:
@@ -41,7 +37,7 @@ def interval(values: Iterable[float | None]) -> tuple[float | None, float | None
 
 
 def weighted_median(ordered: Floats, weights: Floats) -> float | None:
-    """The lowest of rising values (N,) at which half of the weights (N,) is reached; None without weight."""
+    """Return the lowest of ascending values (N,) at which half of the weight (N,) is reached; None without weight."""
     if not len(ordered) or weights.sum() <= 0.0:
         return None
     total = np.cumsum(weights)

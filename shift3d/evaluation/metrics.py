@@ -1,4 +1,4 @@
-"""Every metric of a detector, from the same stored detections: Waymo's, KITTI's and the project's own."""
+"""Metrics of Waymo, KITTI and shift3d from the same stored detections."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from shift3d.evaluation.frames import VIEWS, Comparison, DetectedFrame, View, co
 from shift3d.evaluation.waymo import LEVELS, assign, waymo_curve
 
 IOU_THRESHOLDS = (0.7, 0.5)
-# Waymo's own bins are the last three; a sensor's labels end at 75 m.
+# The last three are Waymo's bins; labels end at 75 m.
 RANGES_M = ((0.0, 75.0), (0.0, 50.0), (0.0, 30.0), (30.0, 50.0), (50.0, 75.0))
-# What an object may have at most in the image, by KITTI's definition: it is applied where labels are read.
+# KITTI's difficulties by limits in the image; the label reader applies the limits.
 KITTI_DIFFICULTIES = ("easy", "moderate", "hard")
-# Detections lower than this in the image do not count: KITTI asks nobody to find objects that small.
+# Detections with a smaller height in the image are ignored, because KITTI does not evaluate objects that small.
 _LEAST_HEIGHT_PX = (40.0, 25.0, 25.0)
 OWN_SUBSET, OWN_POINTS, OWN_RANGE_M = "20 points", 20, (0.0, 50.0)
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A curve with its areas, and what it is a curve of.
+    """Precision-recall curve with its areas, and its settings.
 
-    protocol: "waymo", as Waymo's library counts; "waymo_strict", the same but for detections of LEVEL_2 objects, which
-    are left out of LEVEL_1; "kitti", 40 recall positions; "shift3d", exact area. view: "BEV" or "3D". subset: which
-    objects count: LEVEL_1, LEVEL_2; easy, moderate, hard; "20 points", at least so many. min_range_m <= distance
-    < max_range_m, horizontal; None: no limit.
+    protocol: "waymo", as Waymo's library counts; "waymo_strict", the same, but LEVEL_1 ignores detections of LEVEL_2
+    objects; "kitti", 40 recall positions; "shift3d", exact area. view: "BEV" or "3D". subset: objects that count:
+    LEVEL_1, LEVEL_2; easy, moderate, hard; "20 points", at least 20 points. min_range_m <= horizontal distance <
+    max_range_m; None: no limit.
     """
 
     protocol: str
@@ -41,10 +41,10 @@ class Metric:
 
 
 def evaluate(frames: Sequence[DetectedFrame]) -> Iterator[Metric]:
-    """Every metric of the frames, in a fixed order.
+    """Yield every metric of the frames in a fixed order, in both views and at both IoU thresholds.
 
-    Waymo's for both levels, all ranges; KITTI's by its difficulties where there is a camera, else by Waymo's levels;
-    the project's own. Each in both views, at both IoU thresholds. A metric without an object to find has no value.
+    Waymo's metrics for both levels and all ranges; KITTI's by its difficulties if there is a camera, else by Waymo's
+    levels; the metric of shift3d. Metrics without an object to find have the value None.
     """
     graded = any(
         (frame.truth.difficulty >= 0).any() or np.isfinite(frame.found.image_height_px).any() for frame in frames
@@ -81,10 +81,10 @@ def _kitti(comparisons: Sequence[Comparison], view: View, iou_threshold: float, 
 
 
 def kitti_curve(comparisons: Sequence[Comparison], iou_threshold: float, difficulty: int) -> PrecisionRecall:
-    """KITTI's curve for difficulty 0 (easy), 1 or 2 (hard): objects up to it count, harder ones are ignored.
+    """Compute KITTI's curve for difficulty 0 (easy), 1 or 2 (hard); harder objects are ignored.
 
-    Detections outside the labelled camera view, or too low in the image for the difficulty, are no errors. KITTI's
-    DontCare areas have no box and so, as in its development kit, no effect in either view.
+    Detections outside the labelled camera view, or with too small a height in the image, are no errors. KITTI's
+    DontCare areas have no 3D box, so they have no effect in either view, as in its development kit.
     """
     matches = []
     for comparison in comparisons:
@@ -102,7 +102,7 @@ def _by_points(
     range_m: tuple[float, float],
     at_40_recalls: bool,
 ) -> PrecisionRecall:
-    """Objects with enough points within the range count, others are ignored; detections beyond it are no errors."""
+    """Compute the curve for objects with enough points in range; other objects and detections are ignored."""
     matches = []
     for comparison in comparisons:
         truth, found = comparison.truth, comparison.found

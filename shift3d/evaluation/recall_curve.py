@@ -1,4 +1,4 @@
-"""Threshold-recall curves and the area under them."""
+"""Recall as a function of the score threshold, and the area under this curve."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RecallCurve:
-    """recall(t) = P(score > t), exactly: a step function, constant from each threshold to the next.
+    """Exact recall curve recall(t) = P(score > t): a step function, constant between thresholds.
 
     score_threshold: (K,) float64, ascending, from 0 to 1. recall: (K,) float64, in [0, 1], non-increasing;
-    ``recall[i]`` holds on [score_threshold[i], score_threshold[i + 1]), the last one at 1 alone.
+    ``recall[i]`` holds on [score_threshold[i], score_threshold[i + 1]), the last value only at 1.
     """
 
     score_threshold: FloatArray
@@ -23,14 +23,14 @@ class RecallCurve:
 
 
 def recall_curve(scores: npt.ArrayLike) -> RecallCurve:
-    """The share of inserted vehicles that are detected above each score threshold.
+    """Compute the share of inserted vehicles detected above each score threshold.
 
-    Args: scores: (N,) best score of each vehicle, 0 where no box was near it, in [0, 1].
+    Args: scores: (N,) highest score of each vehicle, 0 without a box near it, in [0, 1].
 
-    Raises: ValueError: no score, or one outside [0, 1] or NaN.
+    Raises: ValueError without scores, or for a score outside [0, 1] or NaN.
 
-    Source: SHIFT3D section Evaluation Metrics (a detection has a score GREATER than the threshold). Knots at
-    the scores themselves are our choice: nothing is lost to a grid of thresholds.
+    Source: SHIFT3D section Evaluation Metrics (a detection has a score GREATER than the threshold). The thresholds are
+    the scores themselves (our choice), so the curve is exact.
     """
     values = np.asarray(scores, dtype=np.float64).ravel()
     if values.size == 0:
@@ -43,9 +43,6 @@ def recall_curve(scores: npt.ArrayLike) -> RecallCurve:
 
 
 def area_under(curve: RecallCurve) -> float:
-    """Area under a curve on [0, 1]. It equals the mean score: E[s] is the integral of P(s > t).
-
-    Source: SHIFT3D section Evaluation Metrics.
-    """
+    """Compute the area under a curve: the mean score, E[s] = integral P(s > t). Source: SHIFT3D, Evaluation Metrics."""
     widths = np.diff(curve.score_threshold)
     return float(np.sum(curve.recall[:-1] * widths))

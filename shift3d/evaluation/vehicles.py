@@ -1,4 +1,4 @@
-"""Every vehicle with what found it and by how much that is off: what is wrong is seen, not only that something is."""
+"""Per-vehicle table of the matched detection and its errors in position, size and heading."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from shift3d.evaluation.groups import aspect
 from shift3d.geometry.iou import iou_3d
 
 MATCH_IOU = 0.5
-"""Bird's-eye IoU of a detection and the vehicle whose errors it has: lenient, so that large errors are seen."""
+"""Least bird's-eye IoU of a detection and its matched vehicle: lenient, so that large errors stay visible."""
 FOUND_SCORE = 0.3
-"""A vehicle is found by a match of at least this score."""
+"""Least score of a match that counts as found."""
 ERRORS = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
-"""Found less true. x, y: along and across the true vehicle. heading: of the axis, half turns taken out."""
+"""Errors, detected minus true. x, y: along and across the true vehicle. heading: of the axis, modulo half turns."""
 
 
 @dataclass(frozen=True)
 class VehicleRows:
-    """All vehicles that count, of all frames, in the order of the frames and of their labels; (V,) each.
+    """All vehicles that count in all frames, in the order of frames and labels; (V,) each.
 
-    frame, row: index of the frame and of the label. boxes: (V, 7), scene frame. aspect: where the beam from the sensor
-    meets the vehicle: "rear", "front", "side", "oblique". kind: "" where the labels say nothing. score: of the match,
-    NaN without one. iou_bev, iou_3d: with the match, 0 without one. flipped: the match's nose points the other way.
-    errors: (V, 7), see ERRORS, NaN without a match.
+    frame, row: index of the frame and of the label. boxes: (V, 7), scene frame. aspect: side of the vehicle that the
+    beam from the sensor hits: "rear", "front", "side", "oblique". kind: "" if labels have none. score: of the match,
+    NaN without a match. iou_bev, iou_3d: with the match, 0 without a match. flipped: True if the heading of the match
+    differs by more than a quarter turn. errors: (V, 7), see ERRORS, NaN without a match.
     """
 
     frame: Ints
@@ -49,14 +49,14 @@ class VehicleRows:
 
     @property
     def matched(self) -> Flags:
-        """(V,) bool: found by a match of at least FOUND_SCORE."""
+        """Mask (V,) bool of vehicles with a match of at least FOUND_SCORE."""
         return np.asarray(self.score >= FOUND_SCORE)
 
 
 def vehicle_rows(frames: Sequence[DetectedFrame]) -> VehicleRows:
-    """Match every frame's detections, best score first, each to the free vehicle it overlaps most in bird's-eye view.
+    """Match each detection, highest score first, to the unmatched vehicle with the largest bird's-eye overlap.
 
-    Source: greedy matching as in nuScenes; by overlap and not by distance (our choice).
+    Source: greedy matching as in nuScenes, but by overlap instead of distance (our choice).
     """
     parts = [_of_frame(index, frame) for index, frame in enumerate(frames)]
     columns: dict[str, Any] = {
@@ -99,7 +99,7 @@ def _of_frame(index: int, frame: DetectedFrame) -> VehicleRows:
 
 
 def _errors(truth: Floats, found: Floats) -> tuple[Floats, Flags]:
-    """(M, 7) errors of boxes found for boxes, one for one, and which are turned by more than a quarter."""
+    """Compute errors (M, 7) of paired boxes, and the mask (M,) of headings that differ by more than a quarter turn."""
     offset, cos, sin = found[:, :2] - truth[:, :2], np.cos(truth[:, 6]), np.sin(truth[:, 6])
     along, across = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
     turn = np.mod(found[:, 6] - truth[:, 6] + np.pi, 2 * np.pi) - np.pi

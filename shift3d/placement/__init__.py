@@ -1,1 +1,1 @@
-"""Where a vehicle can stand in a scene: ground, constraints on a place, and sampling of places."""
+"""Placement of a vehicle in a scene: ground fit, constraints on a pose, and sampling of poses."""

@@ -1,4 +1,4 @@
-"""Is the inserted object physically plausible: not inside anything, and on the ground?"""
+"""Constraints on an inserted object: it overlaps nothing, touches the ground and gets enough points."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from shift3d.render.culling import Box
 from shift3d.render.field.object_field import ObjectField
 
 _TOUCHING_M = 0.004
-# How often all points are looked at, how many of them are followed in between, and for how long.
+# Largest number of evaluations of all points, number of lowest points to iterate on, and iterations on those points.
 _LOOKS, _FEW, _MOVES = 8, 8, 16
 
 
 @dataclass(frozen=True)
 class Constraints:
-    """Limits on an inserted object. A value exactly at its limit is allowed, but for clear_m, which is too near.
+    """Limits on an inserted object. A value equal to its limit is allowed, except for clear_m.
 
-    overlap_m: deepest that an original scene point may lie inside the object. Paper: "we avoid object
-        positions that would result in any point in the scene having an SDF value less than -eps_overlap",
-        0.02.
-    contact_m: how near the object's surface some original scene point under it must lie. The paper's text asks that
-        "at least one point in the original scene has SDF value greater than eps_float", 0.02, which any far
-        point satisfies; its purpose, "to ensure that the SDF object is in contact with the ground", is what is
-        checked here.
-    min_object_points: fewest returns on the object: "disallowing inserted objects that result in fewer than
+    overlap_m: largest depth of an original scene point inside the object. Paper: "we avoid object positions that would
+        result in any point in the scene having an SDF value less than -eps_overlap", 0.02.
+    contact_m: largest distance from the object's surface to the nearest original scene point under the object. The
+        paper's text asks that "at least one point in the original scene has SDF value greater than eps_float", 0.02,
+        which any far point satisfies. This limit checks the purpose that the paper gives: "to ensure that the SDF
+        object is in contact with the ground".
+    min_object_points: least number of returns on the object: "disallowing inserted objects that result in fewer than
         300 on-object points post rendering".
-    clear_m: how near the centre of another vehicle may be, in the ground plane. The paper counts any box within
-        5 m as a detection of the object, so a neighbour nearer than that would be taken for it, whatever
-        becomes of the object. Our choice: the paper is silent.
+    clear_m: the centre of any other vehicle must be farther away, in the ground plane. The paper counts any box within
+        5 m as a detection of the object, so a detected neighbour within 5 m would always count as the object. Our
+        choice: the paper is silent.
 
     Source: SHIFT3D, Realism Constraints on Object Pose and Hyper-parameters.
     """
@@ -44,15 +43,15 @@ class Constraints:
 
 
 PAPER_CONSTRAINTS = Constraints()
-"""The paper's values."""
+"""Values of the paper."""
 
 
 @dataclass(frozen=True)
 class ConstraintCheck:
-    """Outcome for one object.
+    """Result of the constraint check of one object.
 
-    deepest_m: smallest metric distance of an original point (negative inside); infinite if none is near.
-    nearest_m: smallest |metric distance| of a point under the object; infinite if none is near.
+    deepest_m: smallest metric distance of an original point (negative inside); infinite if no point is near.
+    nearest_m: smallest |metric distance| of a point under the object; infinite if no point is near.
     """
 
     deepest_m: float
@@ -65,25 +64,25 @@ class ConstraintCheck:
 
     @property
     def valid(self) -> bool:
-        """All constraints hold."""
+        """True if all constraints hold."""
         return self.overlap_ok and self.contact_ok and self.points_ok and self.clear_ok
 
 
 def points_near(beams: Beams, theta: Tensor, radius_m: float) -> Tensor:
-    """(M, 3) float64 original returns within radius_m of the object's centre, scene frame."""
+    """Return the original returns (M, 3) float64 within radius_m of the object's centre, scene frame."""
     offset = beams.points - theta[:3].detach().to(beams.points.dtype)
     near = (offset.square().sum(-1) <= radius_m**2) & beams.carries
     return beams.points[near].double()
 
 
 def places_near(points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3, box: Box | None = None) -> Tensor:
-    """(M', 3) places of the points near the object, object frame.
+    """Return the points near the object, converted to the object frame, (M', 3).
 
     Args:
         points: (M, 3) float64, scene frame. theta: (6,) pose.
-        size_m: (3,) size of the baseline's box. reach_m: how far from it points count.
-        box: that holds the object, where it is known: points near it count as well. A shape under attack may outgrow
-            its baseline's box.
+        size_m: (3,) size of the baseline's box. reach_m: largest distance of a point from this box, per axis.
+        box: bounding box of the object, if known: points near it are returned too, because a shape under attack may
+            outgrow its baseline's box.
     """
     x_object = object_from_scene(points, theta.detach().double())
     near = (x_object.abs() <= size_m / 2 + reach_m).all(-1)
@@ -103,16 +102,16 @@ def check(
     others: Tensor | None = None,
     box: Box | None = None,
 ) -> ConstraintCheck:
-    """Hold one object against the limits.
+    """Check one object against the limits.
 
     Args:
         field: metric distance in the object frame. points: ORIGINAL returns near the object.
         theta, size_m, box: see `places_near`.
-        object_points: returns on the object after rendering.
+        object_points: number of returns on the object after rendering.
         others: (M, 2) centres of other vehicles, scene frame, metres.
 
-    Contact is asked of points under the object alone: below its centre, within its baseline's length and width. A wall
-    or a kerb beside it carries nothing.
+    Only points under the object (below its centre, within its baseline's length and width) count as contact, because a
+    wall or kerb beside the object does not support it.
     """
     places = places_near(points, theta, size_m, box=box)
     with torch.no_grad():
@@ -132,7 +131,7 @@ def check(
 
 
 def is_clear(theta: Tensor, others: Tensor | None, clear_m: float) -> bool:
-    """Whether no other vehicle's centre (M, 2) is within clear_m of the object's, in the ground plane."""
+    """True if all centres of other vehicles (M, 2) are farther than clear_m from the object's, in the ground plane."""
     if others is None or len(others) == 0:
         return True
     return bool(((others - theta[:2].detach().to(others)).norm(dim=-1) > clear_m).all())
@@ -141,11 +140,11 @@ def is_clear(theta: Tensor, others: Tensor | None, clear_m: float) -> bool:
 def snap_to_ground(
     field: ObjectField, points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3
 ) -> Tensor | None:
-    """The pose with z moved until the object just touches the original points; None if that takes too far.
+    """Return the pose with z moved until the object just touches the original points; None if z moves too far.
 
-    A distance is 1-Lipschitz, so lowering the object by its clearance cannot push it through a point: the
-    iteration z <- z - min g comes down from above and, inside, climbs out. It follows the few lowest points, and all of
-    them again where those touch. reach_m: largest change of z.
+    The distance g is 1-Lipschitz, so lowering the object by its clearance cannot push it through a point: the iteration
+    z <- z - min g approaches from above, and raises an object that is inside. It runs on the few lowest points, then
+    checks all points once those touch. reach_m: largest change of z.
 
     Source: our choice: the paper places with a six-dof pose and leaves the method open.
     """
@@ -155,7 +154,7 @@ def snap_to_ground(
         if len(places) == 0:
             return None
         with torch.no_grad():
-            metric = field.estimate(places).double()  # exact where it decides
+            metric = field.estimate(places).double()  # exact near the surface and inside, where it decides
         if abs(float(metric.min())) <= _TOUCHING_M:
             return snapped
         few, clearance = scene_from_object(places[metric.argsort(stable=True)[:_FEW]], snapped), float(metric.min())

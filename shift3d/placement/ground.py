@@ -1,4 +1,4 @@
-"""The ground under an object: a plane through the returns around its footprint."""
+"""Fit of the ground under an object: a plane through the returns around its footprint."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 MAX_SLOPE = 0.10
-"""Steepest ground that a vehicle is put on: the paper's largest pitch and roll, 0.1 rad, and about the steepest that
-published road standards give for streets with through traffic (8 to 12 %)."""
+"""Steepest ground for a vehicle: the paper's largest pitch and roll, 0.1 rad, and about the steepest slope in published
+road standards for streets with through traffic (8 to 12 %)."""
 _INLIER_M = 0.06
 _BELOW_M, _BELOW_SHARE = 0.15, 0.1
 _MIN_POINTS = 12
 _MIN_BREADTH_M = 1.0
-_WIDER = (1.0, 1.75, 2.5)  # reaches, in radii: where one scan line crosses the footprint, its neighbours are farther
+_WIDER = (1.0, 1.75, 2.5)  # search radii, in units of radius_m: a wider one reaches scan lines beside the footprint
 _TRIPLES = 80
-_SPACING_M = 0.4  # of points that stand for the ground: less than a wheel is long; at 0.25 a step takes 5 % longer
+_SPACING_M = 0.4  # of points that represent the ground: less than a wheel's length; at 0.25 a step takes 5 % longer
 
 
 @dataclass(frozen=True)
 class GroundPlane:
-    """z = height_m + slope_x (x - x0) + slope_y (y - y0) about the point (x0, y0) it was fitted at."""
+    """Plane z = height_m + slope_x (x - x0) + slope_y (y - y0) fitted around the position (x0, y0)."""
 
     height_m: float
     slope_x: float
@@ -32,19 +32,16 @@ class GroundPlane:
 
     @property
     def slope(self) -> float:
-        """Steepest rise, metres a metre."""
+        """Slope in the steepest direction, metres per metre."""
         return math.hypot(self.slope_x, self.slope_y)
 
     def is_lowest(self, local: Array) -> bool:
-        """Whether at most a tenth of the points (N, 3), about (x0, y0), lie more than 15 cm below."""
+        """True if at most a tenth of the points (N, 3), relative to (x0, y0), are more than 15 cm below the plane."""
         below = local[:, 2] - self.height_m - local[:, :2] @ (self.slope_x, self.slope_y) < -_BELOW_M
         return bool(below.mean() <= _BELOW_SHARE)
 
     def lowered(self, centre_xy: tuple[float, float], radius_m: float, depth_m: float) -> Array:
-        """Points (N, 3) every 40 cm within a radius of its place, depth_m below the plane.
-
-        centre_xy: the place that it was fitted at.
-        """
+        """Sample points (N, 3), depth_m below the plane, every 40 cm within radius_m. centre_xy: (x0, y0)."""
         steps = np.arange(-radius_m, radius_m + _SPACING_M, _SPACING_M)
         local = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
         local = local[np.hypot(local[:, 0], local[:, 1]) <= radius_m]
@@ -52,9 +49,9 @@ class GroundPlane:
         return np.column_stack((local + np.asarray(centre_xy), height))
 
     def attitude(self, yaw_rad: float) -> tuple[float, float]:
-        """(pitch, roll) in radians that lay an object of this heading on the plane.
+        """Compute (pitch, roll) in radians that align an object of this heading with the plane.
 
-        Uphill ahead raises the nose, which is a NEGATIVE pitch (right-hand rule about +y).
+        A rise ahead lifts the nose, which is a NEGATIVE pitch (right-hand rule about +y).
         """
         forward = math.cos(yaw_rad) * self.slope_x + math.sin(yaw_rad) * self.slope_y
         left = -math.sin(yaw_rad) * self.slope_x + math.cos(yaw_rad) * self.slope_y
@@ -65,18 +62,16 @@ class GroundPlane:
 def ground_under(
     points: Array, centre_xy: tuple[float, float], nominal_z_m: float, radius_m: float, thorough: bool = True
 ) -> GroundPlane | None:
-    """`fit_ground`, and where that fails: ground that climbs away from its nominal height, roofs, sparse scan lines.
+    """Fit the ground by `fit_ground`, and if it fails (long slopes, roofs, sparse scan lines) by RANSAC.
 
-    Then the plane is the one that most returns lie on among those through triples of them (RANSAC; how many returns
-    there are seeds the triples), none steeper than `MAX_SLOPE` by more than half. The reach grows up to 2.5 times, as
-    long as returns within radius_m bear the plane. The plane may be steeper than `MAX_SLOPE`: the caller says so.
+    RANSAC takes the plane through three returns that has the most returns, with a slope of at most 1.5 `MAX_SLOPE`; the
+    number of returns seeds the triples. The search radius grows up to 2.5 times; enough returns within radius_m must be
+    on the plane. The result may be steeper than `MAX_SLOPE`: the caller reports that. For both methods at most a tenth
+    of the returns may be more than 15 cm below the plane, since a roof has ground below.
 
-    Either way at most a tenth of the returns may lie more than 15 cm below the plane: a roof has ground below.
-
-    thorough: False leaves the second search out. Other arguments and source: see `fit_ground`. Source of RANSAC:
-    Fischler and Bolles 1981.
+    thorough: False skips RANSAC. Other arguments and source: see `fit_ground`. RANSAC: Fischler and Bolles 1981.
     """
-    points = points[np.abs(points[:, 0] - centre_xy[0]) <= _WIDER[-1] * radius_m]  # few of a scan: the rest is cheap
+    points = points[np.abs(points[:, 0] - centre_xy[0]) <= _WIDER[-1] * radius_m]  # keeps few points: saves time below
     offset = points[:, :2] - np.asarray(centre_xy)
     distance = np.hypot(offset[:, 0], offset[:, 1])
     found, around = fit_ground(points, centre_xy, nominal_z_m, radius_m), distance <= radius_m
@@ -84,7 +79,7 @@ def ground_under(
         return found
     if not thorough:
         return None
-    # Ground rises from its nominal height by no more than the steepest slope all the way.
+    # The largest height difference is that of ground at the steepest slope from the sensor to the position.
     near = distance <= _WIDER[-1] * radius_m
     near &= np.abs(points[:, 2] - nominal_z_m) < 0.6 + MAX_SLOPE * math.hypot(*centre_xy)
     local, distance = np.column_stack((offset[near], points[near, 2])), distance[near]
@@ -97,15 +92,15 @@ def ground_under(
 def fit_ground(
     points: Array, centre_xy: tuple[float, float], nominal_z_m: float, radius_m: float
 ) -> GroundPlane | None:
-    """Plane through the ground returns within radius_m of a place; None where too little ground is seen.
+    """Fit a plane to the ground returns within radius_m of a position; return None if too little ground is visible.
 
-    Starts from the nominal plane widened to 0.6 m, refits on what lies near the fit, narrower each time, so
-    that walls and poles fall out. Returns along one scan line are refused: whatever its direction, they leave the
-    slope across it open. So is a slope beyond `MAX_SLOPE`.
+    The fit starts with returns within 0.6 m of the nominal height and refits to returns in a narrower band each time,
+    which excludes walls and poles. It returns None for returns along a single scan line, which do not determine the
+    slope across the line, and for a slope above `MAX_SLOPE`.
 
     Args:
         points: (N, 3) returns, scene frame.
-        centre_xy: where, scene frame, metres.
+        centre_xy: position, scene frame, metres.
         nominal_z_m: height of the ground around the sensor.
 
     Source: our choice: the paper is silent.
@@ -113,7 +108,7 @@ def fit_ground(
     offset = points[:, :2] - np.asarray(centre_xy)
     near = np.einsum("ij,ij->i", offset, offset) <= radius_m**2
     xy, z = offset[near], points[near, 2]
-    # Slopes let the ground leave its nominal height with distance.
+    # On a slope the ground deviates from its nominal height with distance.
     tolerance_m = 0.6 + 0.03 * math.hypot(*centre_xy)
     keep = np.abs(z - nominal_z_m) < tolerance_m
     if keep.sum() < _MIN_POINTS:
@@ -132,13 +127,13 @@ def fit_ground(
 
 
 def _consensus(local: Array, radius_m: float) -> GroundPlane | None:
-    """The plane that most of the points (N, 3) about the place lie on, refitted to them; None where none is ground."""
+    """Find the plane with the most points, and refit it to them; None if no plane is ground. local: (N, 3)."""
     if not _spans_a_plane(local[:, :2]):
         return None
     xy, z = local[:, :2], local[:, 2]
     rows = np.random.default_rng(len(local)).integers(0, len(local), (_TRIPLES, 3))
     design = np.concatenate((np.ones((_TRIPLES, 3, 1)), xy[rows]), axis=2)
-    # Twice the triangle's area: thin ones say nothing of the slope across them.
+    # The determinant is twice the triangle's area; thin triangles do not determine the slope across them.
     rows, design = (part[np.abs(np.linalg.det(design)) > _MIN_BREADTH_M] for part in (rows, design))
     if not len(rows):
         return None
@@ -161,7 +156,7 @@ def _consensus(local: Array, radius_m: float) -> GroundPlane | None:
 
 
 def _spans_a_plane(xy: Array) -> bool:
-    """Whether places (N, 2) are enough, and as broad across the direction that they are spread along most."""
+    """True if positions (N, 2) are enough and spread at least _MIN_BREADTH_M across their principal direction."""
     if len(xy) < _MIN_POINTS:
         return False
     offset = xy - xy.mean(axis=0)
@@ -170,6 +165,6 @@ def _spans_a_plane(xy: Array) -> bool:
 
 
 def _through(xy: Array, z: Array) -> Array:
-    """(3,) height at the place and slopes of the least-squares plane."""
+    """Fit the least-squares plane: (3,) height at the position and the two slopes."""
     found = np.linalg.lstsq(np.column_stack((np.ones(len(xy)), xy)), z, rcond=None)
     return found[0].astype(np.float64)

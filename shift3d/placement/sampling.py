@@ -1,4 +1,4 @@
-"""Where an object may stand in a scene: seeded rejection sampling."""
+"""Seeded rejection sampling of poses for an object in a scene."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ REFUSALS = {
     "contact": "touches nothing",
     "overlap": "reaches into something",
 }
-"""Why a place is turned down, in the order of the tests; `points` counts hidden places too where only beams that
-arrive were counted."""
+"""Reasons to reject a position, in the order of the tests. In `place`, `points` includes hidden positions, because only
+beams that are not occluded are counted; `survey` tells the two apart."""
 
 
 @dataclass(frozen=True)
 class PlacementLimits:
-    """Where to look.
+    """Region and number of attempts of the sampling.
 
-    min_range_m, max_range_m: distance from the sensor, horizontal. sector: (centre, half width) azimuth in
-    radians. attempts: places to try before giving up.
+    min_range_m, max_range_m: horizontal distance from the sensor. sector: (centre, half width) azimuth in radians.
+    attempts: largest number of positions to try.
 
-    Source: SHIFT3D, Setup: between 15 and 50 m, heading uniform. The sector is the scene set's.
+    Source: SHIFT3D, Setup: between 15 and 50 m, heading uniform. The scene set defines the sector.
     """
 
     min_range_m: float = 15.0
@@ -67,15 +67,12 @@ class PlacementLimits:
 
 
 ANYWHERE = PlacementLimits()
-"""The paper's ranges, all around."""
+"""The paper's ranges at any azimuth."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """A place where the object stands, and the rendering that shows it.
-
-    theta: (6,) float64 pose. rejected: how often each reason turned a place down before this one.
-    """
+    """Valid pose theta (6,) float64 and its rendering. rejected: number of earlier attempts rejected per reason."""
 
     theta: Tensor
     check: ConstraintCheck
@@ -86,25 +83,25 @@ class Placement:
 
 @dataclass(frozen=True)
 class NoPlacement:
-    """The scene has no place for this object within the attempts; `rejected` says why."""
+    """Result if no attempt found a valid pose. rejected: number of attempts rejected per reason."""
 
     attempts: int
     rejected: dict[str, int]
 
 
 def refusals(rejected: Mapping[str, int]) -> str:
-    """Reasons in words with their counts, most frequent first."""
+    """Format the reasons in words with their counts, most frequent first."""
     ordered = sorted(rejected.items(), key=lambda pair: (-pair[1], list(REFUSALS).index(pair[0])))
     return ", ".join(f"{REFUSALS[name]} {count}" for name, count in ordered)
 
 
 @dataclass(frozen=True)
 class Site:
-    """What a place is judged by.
+    """Scene data for the tests of a position.
 
-    beams: of the scene. others: (M, 2) centres of the scene's own vehicles, to stay clear of. ground_map: its heights
-    take the place of ground_z_m, and a footprint's corners stand where it allows. unlabelled: (Z, 2) points where the
-    data set labels nothing, so that a vehicle there would be none of them.
+    beams: of the scene. others: (M, 2) centres of the scene's vehicles, which the object must not come near.
+    ground_map: its heights replace ground_z_m, and it must allow the corners of the footprint. unlabelled: (Z, 2)
+    returns in regions where the data set labels no vehicles.
     """
 
     beams: Beams
@@ -115,11 +112,11 @@ class Site:
 
     @functools.cached_property
     def returns(self) -> np.ndarray:
-        """(N, 3) float64, of the beams."""
+        """Returns of the beams, (N, 3) float64."""
         return self.beams.points[self.beams.carries].double().numpy()
 
     def is_labelled(self, xy: tuple[float, float], clear_m: float) -> bool:
-        """Whether at most half of the returns within clear_m lie where the data set labels nothing."""
+        """True if at most half of the returns within clear_m are in unlabelled regions of the data set."""
         if self.unlabelled is None:
             return True
         within, of = (
@@ -129,12 +126,12 @@ class Site:
         return 2 * within <= of
 
     def ground_at(self, x_m: float, y_m: float) -> float:
-        """Nominal height of the ground."""
+        """Return the nominal height of the ground, metres."""
         known = None if self.ground_map is None else self.ground_map.height_at(x_m, y_m)
         return self.ground_z_m if known is None else known
 
     def allows(self, draw: tuple[float, float, float], size: Tensor) -> bool:
-        """Whether the map lets a footprint of this size stand at (x, y, yaw)."""
+        """True if the map allows a footprint of this size at (x, y, yaw)."""
         if self.ground_map is None:
             return True
         box = np.array([[draw[0], draw[1], 0.0, *size.tolist(), draw[2]]])
@@ -150,20 +147,20 @@ def place(
     constraints: Constraints = PAPER_CONSTRAINTS,
     settings: RenderSettings = STANDARD,
 ) -> Placement | NoPlacement:
-    """A random place that satisfies every constraint.
+    """Sample a random pose that satisfies every constraint.
 
-    Range and azimuth are uniform in the limits, heading in [0, 2 pi); height, pitch and roll follow the
-    ground under the wheels, then the object is lowered or raised (at most 6 cm) until it just touches a
-    return. Cheap tests come first: ground seen, nothing standing there, enough beams that could meet the box.
-    Where far places keep failing for want of points (300 returns at 35 m do not exist with 64 beams), the range is
-    drawn nearer: after each quarter of the attempts the interval beyond min_range_m is halved.
+    Range and azimuth are uniform in the limits, heading in [0, 2 pi). Height, pitch and roll follow the ground under
+    the wheels; then snap to ground moves the object (at most 6 cm) until it just touches a return. Cheap tests come
+    first: ground visible, no obstacle, enough beams through the box. After each quarter of the attempts the range
+    interval beyond min_range_m is halved, because far positions may never get enough points (with 64 beams no object
+    gets 300 returns at 35 m).
 
-    Places where no ground was found are searched for it again, thoroughly, if no other one served: so a scene with room
-    on plain ground has the places that it has without that search.
+    If all attempts fail, positions without ground are tried again with a thorough ground search. This second pass does
+    not change the result of scenes with a valid pose in the first pass.
 
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
-    # A place asks which beams hit, so a vehicle too large for the tolerance is rendered to what the dtype can reach.
+    # Placement needs only the hit mask, so a vehicle too large for the tolerance is rendered to the dtype's limit.
     reachable = settings.reachable_residual_m(float(vehicle.scale_m))
     settings = settings.with_(tolerance_m=max(settings.tolerance_m, reachable))
     metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
@@ -201,7 +198,7 @@ def place(
 
 
 def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int) -> tuple[float, float, float]:
-    """(x, y, yaw) of one attempt; always three numbers from rng, whatever becomes of them."""
+    """Draw (x, y, yaw) of one attempt; always takes three numbers from rng."""
     halvings = (attempt - 1) * 4 // limits.attempts
     reach = (limits.max_range_m - limits.min_range_m) / 2**halvings
     range_m = limits.min_range_m + reach * rng.random()
@@ -212,10 +209,7 @@ def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int)
 def pose_on_ground(
     draw: tuple[float, float, float], site: Site, size: Tensor, constraints: Constraints, thorough: bool = True
 ) -> Tensor | str:
-    """The pose (6,) that a box of this size has on the ground at (x, y, yaw), or the key of `REFUSALS` why it has none.
-
-    thorough: see `ground_under`.
-    """
+    """Return the pose (6,) of a box on the ground at (x, y, yaw), or a key of `REFUSALS`. thorough: `ground_under`."""
     x, y, yaw = draw
     if not is_clear(torch.tensor(draw), site.others, constraints.clear_m):
         return "neighbour"
@@ -242,15 +236,15 @@ def _near(beams: Beams, theta: Tensor, size: Tensor) -> Tensor:
 def pose_on_plane(
     xy: tuple[float, float], yaw: float, height_m: float, attitude: tuple[float, float], object_height_m: float
 ) -> Tensor:
-    """(6,) float64 pose whose box stands with the middle of its bottom on a plane of this height and attitude."""
+    """Compute the pose (6,) float64 that puts the middle of a box's bottom on a plane of this height and attitude."""
     pitch, roll = attitude
     lift = 0.5 * object_height_m * math.cos(pitch) * math.cos(roll)
-    # The centre would lie along the plane's normal above (x, y): at `MAX_SLOPE` by a twentieth of the height aside.
+    # Ignores that the centre moves along the plane's normal: at `MAX_SLOPE` sideways by a twentieth of the height.
     return torch.tensor([xy[0], xy[1], height_m + lift, yaw, pitch, roll], dtype=torch.float64)
 
 
 def _obstacles(near: Tensor, theta: Tensor, size: Tensor) -> bool:
-    """Whether anything higher than a kerb stands in the object's box."""
+    """True if a point in the object's box is higher than a kerb."""
     x_object = object_from_scene(near, theta)
     half = size / 2 + torch.tensor([_CLEARANCE_M, _CLEARANCE_M, 0.0], dtype=torch.float64)
     inside = (x_object.abs() <= half).all(-1)

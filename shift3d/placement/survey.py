@@ -1,4 +1,4 @@
-"""Where in a scene vehicles could stand, and what keeps them from standing elsewhere."""
+"""Survey of a scene: positions where a vehicle could be placed, and reasons why others are rejected."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ FREE = "free"
 
 @dataclass(frozen=True)
 class Survey:
-    """Places that were tried: xy_m (N, 2), scene frame, and of each "free" or a key of `sampling.REFUSALS`."""
+    """Tested positions xy_m (N, 2), scene frame, and the outcome of each: "free" or a key of `sampling.REFUSALS`."""
 
     xy_m: NDArray[np.float64]
     outcomes: tuple[str, ...]
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """(N,) where a vehicle could stand."""
+        """Mask (N,) of positions where a vehicle could be placed."""
         return np.array([outcome == FREE for outcome in self.outcomes])
 
     @property
     def lacks_ground(self) -> bool:
-        """Whether most places are refused since no ground is seen there."""
+        """True if most positions are rejected because no ground is visible."""
         return 2 * self.outcomes.count("ground") > len(self.outcomes)
 
     def line(self) -> str:
-        """How many are free, and how often each reason refused one."""
+        """Format the number of free positions and the count of each reason."""
         counts = Counter(self.outcomes)
         refused = refusals({name: count for name, count in counts.items() if name != FREE})
         return f"{counts[FREE]} of {len(self.outcomes)} free" + (f"; {refused}" if refused else "")
 
 
 def survey(site: Site, limits: PlacementLimits, constraints: Constraints) -> Survey:
-    """Try as many places as `limits` allow attempts, with the tests of `sampling.place` that need no rendering.
+    """Test `limits.attempts` positions with the tests of `sampling.place` that need no rendering.
 
-    A free place may still be refused for a shape: it may touch nothing, reach into something, or return fewer points
-    than beams meet its box. Deterministic. Source: our choice.
+    `place` may still reject a free position for a shape: the shape may touch nothing, overlap something, or get fewer
+    points than there are beams through its box. Deterministic. Source: our choice.
     """
     size, whole = torch.tensor(CAR_SIZE_M, dtype=torch.float64), replace(limits, attempts=1)
     rng, places, outcomes = np.random.default_rng(0), [], []
@@ -62,7 +62,7 @@ def survey(site: Site, limits: PlacementLimits, constraints: Constraints) -> Sur
 
 
 def _aimed(site: Site, draw: tuple[float, float, float], size: Tensor) -> int:
-    """Number of beams that would meet a box there if nothing stood before it."""
+    """Count the beams that would hit the box if nothing occluded it."""
     x, y, yaw = draw
     theta = torch.tensor([x, y, site.ground_at(x, y) + float(size[2]) / 2, yaw, 0.0, 0.0], dtype=torch.float64)
     rays = object_rays(site.beams, torch.nonzero(site.beams.carries).squeeze(1), theta)

@@ -1,1 +1,1 @@
-"""Detectors that are compiled: ONNX files as score-only detectors, and shipped networks as ONNX files."""
+"""Compiled detectors: ONNX files as score-only detectors, and export of shipped networks to ONNX files."""

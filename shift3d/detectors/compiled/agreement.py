@@ -1,4 +1,4 @@
-"""Whether a compiled detector scores as the one that it was compiled from."""
+"""Comparison of the scores of a compiled detector with those of the original detector."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from shift3d.errors import InputError
 TOLERANCE = 1e-3
 _LEAST = 0.1
 _SAME_OBJECT_M = 2.0
-"""Boxes after suppression whose centres are this near are of one object. Which of two boxes with equal scores is kept
-hangs on a rounding, and two vehicles are farther apart."""
+"""Boxes after suppression with centres within this distance belong to one object: rounding decides which of two boxes
+with equal scores is kept, and two vehicles are farther apart."""
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Where two detectors differ most: the scene, a box's centre in it, and the scores of both, 0 for no box."""
+    """Largest score difference of two detectors: scene, box centre, and both scores (0: no box)."""
 
     scene: str
     x_m: float
@@ -31,21 +31,21 @@ class Disagreement:
 
     @property
     def difference(self) -> float:
-        """Of the scores, absolute."""
+        """Absolute difference of the scores."""
         return abs(self.original - self.compiled)
 
 
 def largest_disagreement(
     original: Detector, compiled: Detector, clouds: Iterable[tuple[str, Tensor]]
 ) -> Disagreement | None:
-    """The largest difference of scores over some scenes; None where neither finds anything.
+    """Return the largest score difference over the scenes, or None if neither detector finds a box.
 
-    clouds: names and points (N, 3), network frame. At every box of a score of 0.1 or more, the best scores of both
-    within 2 m are compared. Source: our choice.
+    clouds: names and points (N, 3), network frame. At every box with a score of at least 0.1, the highest scores of
+    both detectors within 2 m are compared. Source: our choice.
     """
     found: list[Disagreement] = []
     for name, points in clouds:
-        # A box at the least score may lie below it in the other, by no more than what is tolerated.
+        # A box just above the least score may be below it in the other detector, by up to TOLERANCE.
         one, two = (detector.detect(points, score_threshold=_LEAST - TOLERANCE) for detector in (original, compiled))
         for x, y in np.concatenate([found.boxes[found.scores >= _LEAST] for found in (one, two)])[:, :2]:
             found.append(Disagreement(name, float(x), float(y), _best_near(one, x, y), _best_near(two, x, y)))
@@ -55,9 +55,9 @@ def largest_disagreement(
 def require_agreement(
     original: Detector, compiled: Detector, clouds: Iterable[tuple[str, Tensor]], where: str
 ) -> Disagreement:
-    """The largest difference of scores, which is at most TOLERANCE.
+    """Check that the largest score difference is at most TOLERANCE, and return it.
 
-    Raises: InputError naming the place where it is larger; or neither finds anything, so that nothing is compared.
+    Raises: InputError with the place if the difference is larger, or if neither detector finds a box to compare.
     """
     worst = largest_disagreement(original, compiled, clouds)
     if worst is None:

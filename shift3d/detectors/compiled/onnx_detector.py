@@ -1,9 +1,9 @@
-"""An ONNX file as a detector that gives scores and no gradient.
+"""Score-only detector (no gradient) from an ONNX file.
 
-One input, (N, 3) float32 points, N free, in the network frame (x forward, y left, z up from the ground below the
-sensor, metres); two outputs by name: ``boxes`` (A, 7) in that frame and ``scores`` (A,) in [0, 1], float32 or float64,
-before or after suppression; A may differ from call to call. The file is data: ONNX Runtime is given its bytes, no
-library of operators, and no folder to look for further files in.
+The file has one input: points (N, 3) float32, N free, in the network frame (x forward, y left, z up from the ground
+below the sensor, metres). It has two named outputs, float32 or float64: ``boxes`` (A, 7) in that frame and ``scores``
+(A,) in [0, 1], before or after suppression; A may vary between calls. The file is only data: ONNX Runtime gets its
+bytes, but no custom operator library and no folder to load other files from.
 """
 
 from __future__ import annotations
@@ -31,19 +31,18 @@ if TYPE_CHECKING:
 _GUIDE = "See docs/guides/detectors.md, An ONNX file"
 _PROBE_POINTS = 2000
 _SATURATED = 2.0**-24
-"""Scores are kept this far from 0 and 1, where a logit is infinite: the last float32 below 1."""
+"""Smallest distance of scores from 0 and 1, where logits are infinite; 1 minus this is the last float32 below 1."""
 
 
 class OnnxDetector(SuppressedProposals):
-    """An ONNX session behind the `Detector` interface. It sees the whole scene in every call.
+    """ONNX session behind the `Detector` interface. The network gets the whole scene in every call.
 
-    A window, in cells of one metre about the origin, chooses which of its boxes are proposals: those whose centres lie
-    in it. A file without suppression gives half a million, and the overlap with each of them is more work than the
-    network.
+    A window, in cells of 1 m around the origin, selects the boxes with centres in its core as proposals: a file without
+    suppression outputs half a million boxes, and computing all their overlaps costs more than the network.
 
-    Args: session: of a file that `load_onnx` found to be a detector. where: named in errors.
+    Args: session: of a file that `load_onnx` has checked. where: name of the file in error messages.
 
-    Not differentiable. The same bytes for the same points: one thread, operators one after the other.
+    Not differentiable. The same points give the same bytes: one thread, operators run sequentially.
     """
 
     def __init__(self, session: onnxruntime.InferenceSession, where: str) -> None:
@@ -52,7 +51,7 @@ class OnnxDetector(SuppressedProposals):
         self._input = session.get_inputs()[0].name
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
-        """See `Detector`, by the boxes' centres."""
+        """See `Detector`: the window applies to the centres of boxes."""
         (x0, num_x), (y0, num_y) = (
             (math.floor(centre - radius_m), math.ceil(centre + radius_m) - math.floor(centre - radius_m))
             for centre in centre_xy
@@ -60,14 +59,11 @@ class OnnxDetector(SuppressedProposals):
         return BevWindow(x0, y0, num_x, num_y, x0, y0, num_x, num_y)
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """See `Detector`; logits are float64, and carry no gradient.
-
-        Raises InputError: the file fails on these points, or its answer is no boxes and scores.
-        """
+        """See `Detector`; float64 logits, no gradient. Raises InputError if the model fails or its output is bad."""
         rows = points.detach().to(torch.float32).numpy()
         try:
             boxes, scores = self._session.run(["boxes", "scores"], {self._input: np.ascontiguousarray(rows)})
-        except Exception as error:  # ONNX Runtime's errors have no other base
+        except Exception as error:  # errors of ONNX Runtime have no narrower base class
             raise InputError(f"it fails on {len(rows)} points: {_line(error)}", self._where, _GUIDE) from error
         _check_answer(boxes, scores, self._where)
         kept = np.arange(len(scores)) if window is None else np.flatnonzero(_inside(boxes, window))
@@ -76,18 +72,20 @@ class OnnxDetector(SuppressedProposals):
 
 
 def load_onnx(path: Path) -> OnnxDetector:
-    """The detector of an ONNX file. Raises: InputError for a missing file, and as `onnx_detector` does."""
+    """Load a detector from an ONNX file. Raises: InputError if the file is missing, or as `onnx_detector` does."""
     if not path.is_file():
         raise InputError("no such file", str(path), "Give detector.file=FILE.onnx")
     return onnx_detector(path.read_bytes(), str(path))
 
 
 def onnx_detector(content: bytes, where: str) -> OnnxDetector:
-    """The detector of an ONNX file's content, tried on random points once a machine: the user's cache folder notes it.
+    """Make a detector from the content of an ONNX file, and test it on random points.
 
-    Raises InputError: naming the file: it is no ONNX, has data in other files, operators that ONNX Runtime lacks, other
-    inputs or outputs than the module says, or answers that are no scores or differ between two calls; the packages of
-    the extra onnx are not installed.
+    The test runs once per machine; the user's cache folder stores that the content passed.
+
+    Raises InputError with the file if it is not ONNX, has data in other files, uses operators that ONNX Runtime lacks,
+    has other inputs or outputs than the module docstring says, returns invalid scores, or differs between two calls; or
+    if packages of the extra onnx are not installed.
     """
     require_packages("onnx", "onnxruntime")
     import onnxruntime
@@ -96,16 +94,16 @@ def onnx_detector(content: bytes, where: str) -> OnnxDetector:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
-    options.enable_cpu_mem_arena = False  # PointPillars: 0.3 GB are kept and not 2.0, for a fifth more time
-    options.log_severity_level = 4  # what is wrong is raised
+    options.enable_cpu_mem_arena = False  # PointPillars: keeps 0.3 GB instead of 2.0, takes a fifth more time
+    options.log_severity_level = 4  # errors are raised, not logged
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # ONNX Runtime's errors have no other base
+    except Exception as error:  # errors of ONNX Runtime have no narrower base class
         raise InputError(f"ONNX Runtime does not take it: {_line(error)}", where, _GUIDE) from error
     _check_interface(session, where)
     detector, by = OnnxDetector(session, where), (onnxruntime.__version__, source_digest("detectors/compiled"))
     tried = kept_file("tried_onnx", hashlib.blake2b(content).digest(), *by)
-    if read_kept(tried) is None:  # three whole forward passes: eleven seconds of PointPillars
+    if read_kept(tried) is None:  # the test makes three full forward passes: 11 s for PointPillars
         _try(detector, where)
         keep(tried, where.encode())
     return detector
@@ -129,7 +127,7 @@ def _check_content(content: bytes, where: str) -> None:
 
 
 def _tensors(graph: Any) -> list[Any]:
-    """Every constant of a graph and of the graphs inside its operators."""
+    """Return all constants of a graph and of the graphs inside its operators."""
     found = list(graph.initializer)
     for attribute in (attribute for node in graph.node for attribute in node.attribute):
         found += [attribute.t, *attribute.tensors]
@@ -139,12 +137,12 @@ def _tensors(graph: Any) -> list[Any]:
 
 
 def _check_interface(session: onnxruntime.InferenceSession, where: str) -> None:
-    """Names, types and ranks as far as the file states them; what it leaves open is seen when it is tried."""
+    """Check names, types and ranks as far as the file declares them; `_try` checks the rest."""
     inputs = session.get_inputs()
     if len(inputs) != 1:
         raise InputError(f"it has the inputs {[part.name for part in inputs]}, not the points alone", where, _GUIDE)
     points = inputs[0]
-    rows = [size if isinstance(size, int) else None for size in points.shape]  # a name, or nothing: any size
+    rows = [size if isinstance(size, int) else None for size in points.shape]  # a name or None: any size
     if points.type != "tensor(float)" or rows not in ([None, 3], [None, None]):
         what = f"its input {points.name} is {points.type} {points.shape}, not tensor(float) (N, 3) with N free"
         raise InputError(what, where, _GUIDE)
@@ -156,7 +154,7 @@ def _check_interface(session: onnxruntime.InferenceSession, where: str) -> None:
 
 
 def _try(detector: OnnxDetector, where: str) -> None:
-    """On two numbers of points, and on the same points twice."""
+    """Run the detector on two numbers of points, and twice on the same points."""
     reach, corner = torch.tensor([80.0, 80.0, 3.0]), torch.tensor([40.0, 40.0, 0.0])
     points = torch.rand(_PROBE_POINTS, 3, generator=torch.Generator().manual_seed(0)) * reach - corner
     first, second = detector.proposals(points), detector.proposals(points)
@@ -166,7 +164,7 @@ def _try(detector: OnnxDetector, where: str) -> None:
 
 
 def _inside(boxes: NDArray[Any], window: BevWindow) -> NDArray[np.bool_]:
-    """(A,) bool: the centre lies in the window's core."""
+    """Return the mask (A,) bool of boxes with their centre in the window's core."""
     x, y = boxes[:, 0] - window.core_x0, boxes[:, 1] - window.core_y0
     return (x >= 0) & (x < window.core_num_x) & (y >= 0) & (y < window.core_num_y)
 
@@ -189,7 +187,7 @@ def _line(error: Exception) -> str:
 
 
 def require_packages(*names: str) -> None:
-    """Raises InputError with the command that installs them, where a package is missing."""
+    """Check that packages are installed. Raises InputError with the install command for a missing package."""
     for name in names:
         if importlib.util.find_spec(name) is None:
             raise InputError(f"the package {name} is not installed", "detector=onnx", "Run pip install 'shift3d[onnx]'")

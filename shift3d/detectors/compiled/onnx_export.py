@@ -1,4 +1,4 @@
-"""A network on pillars as an ONNX graph from points (N, 3), any N, to every proposal's box and score."""
+"""Export of a pillar network as an ONNX graph from points (N, 3), any N, to box and score of every proposal."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ from shift3d.detectors.names import COMPILED
 from shift3d.errors import InputError
 
 OPSET = 18
-"""The first one whose ScatterElements can add and take the maximum."""
+"""First ONNX opset whose ScatterElements supports sum and maximum."""
 
 
 class PointsToScores(nn.Module):
-    """The whole grid's proposals, with fixed shapes but for the number of points.
+    """Module that computes boxes and scores of the whole grid; only the number of points has a dynamic shape.
 
-    Pillars are not grouped, as `grid.assign_pillars` groups them: every point is added to its cell of the dense grid,
-    and what lies outside goes to one cell more, which is cut off. Sums are taken in the order of the points.
+    Points are not grouped as in `grid.assign_pillars`: each point is scattered to its cell of the dense grid. Points
+    outside go to an extra cell, which is cut off. Sums are taken in the order of the points.
 
-    Args: net: of pillars, as its `inference("float32")` gives it.
+    Args: net: pillar network, as returned by its `inference("float32")`.
     """
 
     limits: Tensor
 
     def __init__(self, net: PillarBackboneNet) -> None:
         super().__init__()
-        if isinstance(net.heads, AnchorHeads):  # a number of the graph, whose shape cannot follow a tensor's value
+        if isinstance(net.heads, AnchorHeads):  # a constant: shapes in the graph cannot depend on a tensor's value
             size_m = net.heads.anchors.size_m
             del net.heads.anchor_size_m
             net.heads.anchor_size_m = size_m  # type: ignore[assignment]
         self.net = net
         self.cells = net.grid.num_x * net.grid.num_y
         grid = net.grid
-        # As tensors: the exporter rounds float64 numbers to float32, and points near an edge would change their cell.
+        # A tensor, because the exporter rounds Python floats to float32: points near an edge would change their cell.
         limits = torch.tensor(
             (grid.x_min_m, grid.y_min_m, grid.z_min_m, grid.z_max_m, grid.cell_m), dtype=torch.float64
         )
         self.register_buffer("limits", limits, persistent=False)
 
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """points: (N, 3) float32, network frame, metres. Returns boxes (A, 7) and scores (A,), float32.
+        """Compute boxes (A, 7) and scores (A,), float32, from points (N, 3) float32, network frame, metres.
 
-        The score of a proposal that suppression is not given, of a centre that is no peak, is 0.
+        Proposals that do not enter suppression (cells that are no peak of the heat map) get the score 0.
         """
         canvas = self._canvas(points).view(1, self.net.grid.num_y, self.net.grid.num_x, -1).permute(0, 3, 1, 2)
         features = self.net.backbone(canvas)
@@ -63,8 +63,8 @@ class PointsToScores(nn.Module):
         return boxes, scores if kept is None else torch.where(kept, scores, 0.0)
 
     def _canvas(self, points: Tensor) -> Tensor:
-        """(cells, C), zero where no point is."""
-        grid, exact = self.net.grid, points.double()  # cells in float64, as `grid.cells_of` takes them
+        """Compute pillar features (cells, C), zero in cells without points."""
+        grid, exact = self.net.grid, points.double()  # cells in float64, as in `grid.cells_of`
         corner, low, high, edge = self.limits[:2], self.limits[2], self.limits[3], self.limits[4]
         place = torch.floor((exact[:, :2] - corner) / edge)
         column, line = place[:, 0], place[:, 1]
@@ -78,19 +78,19 @@ class PointsToScores(nn.Module):
         centre = corner + (place + 0.5) * edge
         decorated = torch.cat((points, points - mean, points[:, :2] - centre.to(points.dtype)), dim=1)
         features: Tensor = self.net.pillar_net.linear(decorated)  # type: ignore[attr-defined]
-        # From zero: the maximum and the ReLU after it at once.
+        # The maximum starts at zero, which includes the ReLU.
         canvas = features.new_zeros(self.cells + 1, features.shape[1])
         where = cell[:, None].expand(-1, features.shape[1])
         return canvas.scatter_reduce(0, where, features, "amax")[: self.cells]
 
 
 def onnx_bytes(net: DetectorNet) -> bytes:
-    """A network as the content of an ONNX file, which `onnx_detector.load_onnx` reads.
+    """Export a network to the content of an ONNX file, which `onnx_detector.load_onnx` reads.
 
-    Input `points` (N, 3) float32, network frame; outputs `boxes` (A, 7) and `scores` (A,), float32, one a proposal of
+    Input `points` (N, 3) float32, network frame; outputs `boxes` (A, 7) and `scores` (A,), float32, one per proposal of
     the whole grid, before suppression.
 
-    Raises: InputError for a network that is not on pillars, or a package that is missing.
+    Raises: InputError if the network is not a pillar network, or if a package is missing.
     """
     if not isinstance(net, PillarBackboneNet):
         remedy = f"Export {' or '.join(COMPILED)}"
@@ -114,7 +114,7 @@ def onnx_bytes(net: DetectorNet) -> bytes:
 
 
 def _hypot(x: Any, y: Any) -> Any:
-    """The diagonal of anchors: ONNX has no operator for it."""
+    """Compute hypot (the diagonal of anchors) from other operators: ONNX has none for it."""
     from onnxscript import opset18 as op
 
     return op.Sqrt(op.Add(op.Mul(x, x), op.Mul(y, y)))
@@ -122,7 +122,7 @@ def _hypot(x: Any, y: Any) -> Any:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """No word of the exporter's about itself; its errors are exceptions."""
+    """Suppress log lines and warnings of the exporter; it raises errors as exceptions."""
     log = logging.getLogger("torch.onnx")
     level = log.level
     log.setLevel(logging.ERROR)
@@ -135,7 +135,7 @@ def _silence() -> Iterator[None]:
 
 
 def _without_traces(model: Any) -> bytes:
-    """The model's bytes without what the exporter notes of this machine: paths of source files, stack traces."""
+    """Serialize the model without the exporter's traces of the machine: paths of source files, stack traces."""
     for holder in (model, model.graph, *model.graph.node, *model.graph.value_info, *model.graph.initializer):
         holder.ClearField("doc_string")
         holder.ClearField("metadata_props")

@@ -1,1 +1,1 @@
-"""Detectors that other codebases trained: OpenPCDet's and mmdetection3d's PointPillars and CenterPoint on pillars."""
+"""Detectors trained with other codebases: PointPillars and CenterPoint on pillars of OpenPCDet and mmdetection3d."""

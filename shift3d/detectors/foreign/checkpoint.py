@@ -1,4 +1,4 @@
-"""Checkpoints of OpenPCDet and mmdetection3d: tensors by name, each compared with what the config asks for."""
+"""Loading of OpenPCDet and mmdetection3d checkpoints: compares names and shapes of tensors with the config."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _KINDS = (
 
 
 def load_foreign_net(path: Path, layout: Layout) -> ForeignNet:
-    """The network of a layout with a checkpoint's tensors, in evaluation mode.
+    """Build the network of a layout with the tensors of a checkpoint, in evaluation mode.
 
-    Raises: InputError naming the file where it is unreadable or holds objects, and the first tensors that are missing,
-        surplus, of another shape, or hold what no trained network does.
+    Raises: InputError with the file if it is unreadable or contains pickled objects; with the first tensors that are
+        missing, surplus, of another shape, or contain values that no trained network has.
     """
     found = _tensors(path)
     wanted = {entry.name: entry for entry in entries(layout)}
@@ -58,7 +58,7 @@ def load_foreign_net(path: Path, layout: Layout) -> ForeignNet:
 
 
 def _tensors(path: Path) -> dict[str, Tensor]:
-    """The model's tensors by name, without the prefix of data parallelism and without counters."""
+    """Return the model's tensors by name, without the data parallel prefix and without counters."""
     content = _content(path)
     states = [content[name] for name in _STATES if isinstance(content.get(name), Mapping)]
     state = states[0] if states else content
@@ -73,7 +73,7 @@ def _tensors(path: Path) -> dict[str, Tensor]:
 
 
 def _refuse_older(content: Mapping[str, Any], path: Path) -> None:
-    """Refuse a checkpoint that says it is of a release with other boxes and headings."""
+    """Refuse a checkpoint whose metadata name a release with other conventions for boxes and headings."""
     meta = content.get("meta")
     for codebase, version, older, covered in (
         ("mmdetection3d", meta.get("mmdet3d_version") if isinstance(meta, Mapping) else None, ("0.",), "1.x"),
@@ -90,7 +90,7 @@ def _content(path: Path) -> Mapping[str, Any]:
     try:
         with torch.serialization.safe_globals(list(_numpy_scalars())):
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
+    except Exception as error:  # a damaged pickle can raise almost any exception
         reason = next((line for line in str(error).splitlines() if "GLOBAL" in line or "global" in line), "")
         what = f"no readable checkpoint of tensors and plain values {reason[:160]}".rstrip()
         raise InputError(what, str(path), _PLAIN) from error
@@ -100,7 +100,7 @@ def _content(path: Path) -> Mapping[str, Any]:
 
 
 def _numpy_scalars() -> Iterator[Any]:
-    """What numbers of numpy, which training loops leave among a checkpoint's values, are made with: plain data."""
+    """Yield the constructors of numpy scalars, which training loops store in checkpoints; they are plain data."""
     with contextlib.suppress(AttributeError):
         scalar = np._core.multiarray.scalar  # type: ignore[attr-defined]
         yield scalar
@@ -111,7 +111,7 @@ def _numpy_scalars() -> Iterator[Any]:
 
 
 def _compare(wanted: Mapping[str, tuple[int, ...]], found: Mapping[str, Tensor], path: Path) -> None:
-    """Refuse tensors that are missing, surplus or of another shape, all three in one line."""
+    """Refuse missing, surplus and misshapen tensors with one error that lists all three."""
     missing, surplus = sorted(wanted.keys() - found.keys()), sorted(found.keys() - wanted.keys())
     shapes = {name: tuple(found[name].shape) for name in sorted(wanted.keys() & found.keys())}
     misshapen = [

@@ -1,4 +1,4 @@
-"""A foreign model behind the Detector interface: its own frame inside, the network frame outside."""
+"""Foreign model behind the Detector interface: converts between the network frame and the model's frame."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _IOU = 0.25
 
 
 def foreign_layout(name: str, config: Path, choices: Choices = CONFIGS_OWN) -> dict[str, Any]:
-    """The layout that a config describes, as plain values. name: "openpcdet" or "mmdet3d".
+    """Read the layout that a config describes, as plain values. name: "openpcdet" or "mmdet3d".
 
-    Raises: InputError naming file and value where something is missing or not covered.
+    Raises: InputError with file and value if something is missing or not supported.
     """
     if not config.is_file():
         raise InputError("no such file", str(config), "Check detector.config")
@@ -39,22 +39,19 @@ def foreign_layout(name: str, config: Path, choices: Choices = CONFIGS_OWN) -> d
 
 
 def load_foreign(layout: Mapping[str, Any], weights: Path, precision: Precision = "float32") -> ForeignDetector:
-    """The detector of a layout, as `foreign_layout` gave it, with a checkpoint's weights.
-
-    Raises: InputError: see `load_foreign_net`.
-    """
+    """Load a detector from a layout of `foreign_layout` and a checkpoint. Raises: InputError as `load_foreign_net`."""
     made = Layout.model_validate(layout)
     net = load_foreign_net(weights, made)
     if precision == "float64":
-        net = net.double()  # before norms are folded, which rounds to the weights' precision
+        net = net.double()  # before norms are folded: folding rounds to the dtype of the weights
     return ForeignDetector(TrainedDetector(net, precision), made)
 
 
 class ForeignDetector:
-    """Turns points into the model's frame and its boxes back. See `Detector`; differentiable as it asks.
+    """Detector that converts points to the model's frame and boxes back. Differentiable as `Detector` requires.
 
-    A proposal is any anchor or cell with the logit of the vehicle's class, whatever other classes say of it: each class
-    by itself, as both codebases have it (OpenPCDet where MULTI_CLASSES_NMS is on).
+    Every anchor or cell is a proposal with the logit of the vehicle class, independent of its other classes. Both
+    codebases treat classes separately, too (OpenPCDet with MULTI_CLASSES_NMS).
     """
 
     def __init__(self, inner: TrainedDetector, layout: Layout) -> None:
@@ -62,7 +59,7 @@ class ForeignDetector:
         self._inner, self._frame = inner, layout.frame
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
-        """See `Detector`; the window is in the model's cells."""
+        """See `Detector`; the window is in cells of the model."""
         x, y = centre_xy
         return self._inner.window_for((-y, x) if self._frame.turned else (x, y), radius_m)
 
@@ -79,7 +76,7 @@ class ForeignDetector:
         score_threshold: float = 0.1,
         iou_threshold: float | None = None,
     ) -> Detections:
-        """See `Detector`. iou_threshold: None: the config's own, 0.25 where that goes by distance."""
+        """See `Detector`. iou_threshold: None: that of the config, or 0.25 if the config suppresses by distance."""
         own = _IOU if self.layout.suppression_iou is None else self.layout.suppression_iou
         overlap = own if iou_threshold is None else iou_threshold
         found = self._inner.detect(_to_model(points, self._frame), window, score_threshold, overlap)
@@ -87,7 +84,7 @@ class ForeignDetector:
 
 
 class _Incremental:
-    """`IncrementalInference` in the model's frame."""
+    """`IncrementalInference` that converts between the network frame and the model's frame."""
 
     def __init__(self, inner: IncrementalInference, frame: Frame) -> None:
         self._inner, self._frame = inner, frame
@@ -103,16 +100,16 @@ class _Incremental:
 
 
 def _to_model(points: Tensor, frame: Frame) -> Tensor:
-    """Points (N, 3), network frame, in the model's. Differentiable."""
+    """Convert points (N, 3) from the network frame to the model's frame. Differentiable."""
     if points.ndim != 2 or points.shape[1] != 3:
-        return points  # refused by the detector, in its words
+        return points  # the inner detector raises the error
     x, y, z = points.unbind(1)
     x, y = (-y, x) if frame.turned else (x, y)
     return torch.stack((x, y, z - frame.height_m), dim=1)
 
 
 def _boxes_back(boxes: Tensor, frame: Frame) -> Tensor:
-    """Boxes (A, 7), the model's frame, in the network frame."""
+    """Convert boxes (A, 7) from the model's frame to the network frame."""
     x, y, z, *size, heading = boxes.unbind(1)
     if frame.turned:
         x, y, heading = y, -x, torch.remainder(heading - pi / 2 + pi, 2 * pi) - pi

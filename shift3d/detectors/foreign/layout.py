@@ -1,6 +1,6 @@
-"""What a foreign model is, in plain values: all that its config decides, and nothing of how that config is written.
+"""Architecture of a foreign model in plain values, independent of the format of its config.
 
-A layout is made once, where a sweep is planned. It travels to the workers and enters the task ids, not the config.
+The planner of a sweep makes the layout once. Workers and task ids use the layout, not the config.
 """
 
 from __future__ import annotations
@@ -18,13 +18,12 @@ class _Values(BaseModel):
 
 
 class PillarInputs(_Values):
-    """What the pillar network reads of a point, and its layers.
+    """Inputs and layers of the pillar network.
 
-    position: how the point's place is given first: its coordinates, its offset to the pillar's centre, or not at all.
-    constants: what stands in for channels beside coordinates. middle_m: height of the pillar's centre.
-    slots: points that the source keeps a pillar; in a pillar with fewer, one point of zeros takes part. None: any.
-    filters: what each layer hands on: of all but the last, half is a point's own and half its pillar's maximum. named:
-    how the source names the layers.
+    position: first input columns: coordinates, offset from the pillar's centre, or none. constants: values for the
+    channels other than coordinates. middle_m: height of the pillar's centre. slots: points per pillar in the source; a
+    pillar with fewer points gets one additional point of zeros; None: no limit. filters: output width of each layer; in
+    all but the last, half is per point and half is the pillar's maximum. named: name of the layers in the source.
     """
 
     position: Literal["coordinates", "offset", "none"]
@@ -37,14 +36,14 @@ class PillarInputs(_Values):
 
     @property
     def columns(self) -> int:
-        """Values a point."""
+        """Number of input values per point."""
         return (0 if self.position == "none" else 3) + len(self.constants) + 6
 
 
 class Anchor(_Values):
-    """One of the anchors of a cell, metres and radians, frame of the model. z_m: of its centre.
+    """One anchor of each cell; metres and radians, model's frame. z_m: height of its centre.
 
-    x_m, y_m: of the first and of the last column and line; those between are evenly spaced.
+    x_m, y_m: positions in the first and last column or row; the others are evenly spaced.
     """
 
     size_m: tuple[float, float, float]
@@ -55,7 +54,7 @@ class Anchor(_Values):
 
 
 class AnchorHead(_Values):
-    """1x1 convolutions. classes: of each anchor; vehicle: the one that is kept. code_size: values of a box, from 7."""
+    """1x1 convolutions. classes: per anchor; vehicle: index of the class to keep. code_size: values per box, >= 7."""
 
     kind: Literal["anchors"] = "anchors"
     anchors: tuple[Anchor, ...]
@@ -66,7 +65,7 @@ class AnchorHead(_Values):
 
 
 class Branch(_Values):
-    """A stack of 3x3 convolutions behind the shared one, by the source's name."""
+    """Stack of 3x3 convolutions after the shared one. name: in the source."""
 
     name: str
     outputs: int
@@ -74,11 +73,12 @@ class Branch(_Values):
 
 
 class CentreHead(_Values):
-    """A shared 3x3 convolution, and branches for each task.
+    """Centre head: a shared 3x3 convolution, and branches for each task.
 
-    tasks: number of classes of each; task, vehicle: where the kept one is. branches: of boxes, in the source's order;
-    the first four are offset, height, size, turn. heat: the heat map's name and layers. sine_first: order of the turn.
-    hidden: channels within a branch. biased: convolutions before a norm have a bias.
+    tasks: number of classes per task; task, vehicle: task of the class to keep, and its index in the task. branches:
+    box branches in the source's order; the first four are offset, height, size, heading. heat: branch of the heat map.
+    shared: channels after the shared convolution; hidden: channels within a branch. biased: convolutions before a norm
+    have a bias. sine_first: heading is (sine, cosine), else (cosine, sine).
     """
 
     kind: Literal["centre"] = "centre"
@@ -95,9 +95,9 @@ class CentreHead(_Values):
 
 
 class Frame(_Values):
-    """The model's frame against the network frame, whose origin is on the ground and whose x points forward.
+    """Model's frame relative to the network frame, whose origin is on the ground and whose x points forward.
 
-    height_m: of the model's origin above the ground. turned: its x points right and its y forward, as nuScenes has it.
+    height_m: of the model's origin above the ground. turned: its x points right and its y forward, as in nuScenes.
     """
 
     height_m: float
@@ -105,10 +105,10 @@ class Frame(_Values):
 
 
 class Layout(_Values):
-    """A whole model.
+    """Architecture of a whole model.
 
-    source: whose names the tensors have. prefix: before the names of mmdetection3d's parts. suppression_iou: of the
-    source's own suppression; None: it goes by distance. plain_up: upsampling by 1 is an ordinary convolution.
+    source: codebase that named the tensors. prefix: of mmdetection3d's module names. plain_up: upsampling by 1 is an
+    ordinary convolution. suppression_iou: IoU threshold of the source's NMS; None: the source suppresses by distance.
     """
 
     source: Literal["openpcdet", "mmdet3d"]

@@ -1,8 +1,8 @@
-"""mmdetection3d's Python configs: PointPillars with one anchor head, and CenterPoint on pillars.
+"""Reader of mmdetection3d's Python configs: PointPillars with one anchor head, and CenterPoint on pillars.
 
 Source: mmdetection3d 1.0 to 1.4, mmdet3d/models: pillar_encoder, voxel_encoder, second, second_fpn, anchor3d_head,
 centerpoint_head; anchor_3d_generator; delta_xyzwhlr_bbox_coder, centerpoint_bbox_coders. Boxes of 1.x have a bottom
-centre and a heading counter-clockwise from +x; both coders work on geometric centres, which is what is given here.
+centre and a heading counter-clockwise from +x; both coders use geometric centres, and so does this module.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _GIVE = "Give the values of voxel_layer there, too: without them the encoder tak
 
 
 def mmdet3d_layout(path: Path, choices: Choices) -> Layout:
-    """The layout of a config. Raises InputError naming the file, and the value that is missing or not covered."""
+    """Read the layout of a config. Raises InputError with the file and the value that is missing or not supported."""
     root = Section(read_python_config(path), str(path))
     model = root.section("model")
     prefix = "pts_" if model.has("pts_voxel_encoder") else ""
@@ -84,7 +84,7 @@ def _backbone(model: Section, prefix: str) -> tuple[BackboneSpec, bool, tuple[fl
 
 
 def _eps(part: Section, default: float) -> float:
-    """Of a part's norms: torch's own where a norm is named without it, the part's default where none is."""
+    """Return eps of a part's norms: torch's default if norm_cfg has no eps, the part's default without norm_cfg."""
     if not part.has("norm_cfg"):
         return default
     norm = part.section("norm_cfg")
@@ -94,7 +94,7 @@ def _eps(part: Section, default: float) -> float:
 
 
 def _voxels(model: Section) -> Section:
-    """The voxel layer: of the data preprocessor since 1.1, of the model before."""
+    """Return the voxel layer: in the data preprocessor since 1.1, in the model before."""
     holder = model if model.has("voxel_layer") else model.section("data_preprocessor")
     holder.expect("voxel_type", "hard", "hard")
     return holder.section("voxel_layer")
@@ -117,7 +117,7 @@ def _inputs(part: Section, root: Section, bounds: tuple[float, ...], voxels: Sec
         constants=channel_values(channels[3:], _data_set(root), choices, part),
         middle_m=(bounds[2] + bounds[5]) / 2,
         slots=voxels.whole("max_num_points"),
-        # HardVFE counts what of a layer is a point's own.
+        # HardVFE lists only the per-point half of each layer's width.
         filters=(*(2 * width for width in filters[:-1]), filters[-1]) if hard else filters,
         named="vfe_layers" if hard else "pfn_layers",
         eps=_eps(part, 1e-3),
@@ -125,7 +125,7 @@ def _inputs(part: Section, root: Section, bounds: tuple[float, ...], voxels: Sec
 
 
 def _channels(root: Section, count: int) -> tuple[str, ...]:
-    """What the model's points are made of: what the test pipeline loads; without one, the files' first columns."""
+    """Return the channels of the model's points: those that test_pipeline loads, or the first columns without it."""
     columns: tuple[int, ...] = tuple(range(count))
     steps: Any = root.values.get("test_pipeline")
     for step in steps if isinstance(steps, list) else ():
@@ -187,7 +187,7 @@ def _anchors(head: Section, classes: tuple[str, ...], choices: Choices, cells: t
 def _anchor(
     size: tuple[float, ...], ends: tuple[float, ...], heading: float, aligned: bool, cells: tuple[int, int]
 ) -> Anchor:
-    """Heights of ranges are those of bottoms. Aligned ones stand in the middle of equal parts of their range."""
+    """Make an anchor. Ranges give the height of its bottom; aligned anchors are centred in equal parts of the range."""
     insets = [(ends[axis + 3] - ends[axis]) / cells[axis] / 2 if aligned else 0.0 for axis in (0, 1)]
     bottom = (ends[2] + ends[5]) / 2 if aligned else ends[2]
     return Anchor(
@@ -229,7 +229,7 @@ def _centre(head: Section, choices: Choices, grid: Grid, spec: BackboneSpec) -> 
 
 
 def _branches(table: Section) -> list[Branch]:
-    """Those of boxes, offset, height, size and turn first. Each is given as (outputs, layers)."""
+    """Read the box branches: offset, height, size and heading first. The config has (outputs, layers) of each."""
     found = {name: table.wholes(name, 2) for name in branch_names(table, [name for name, _ in _BOX_BRANCHES])}
     for name, wanted in _BOX_BRANCHES:
         if found[name][0] != wanted:

@@ -1,7 +1,4 @@
-"""A foreign model's network, of the parts that the shipped pillar detectors have where these compute the same.
-
-Pillar network and heads are as OpenPCDet and mmdetection3d compute them.
-"""
+"""Network of a foreign model: shipped modules where they compute the same, otherwise modules as in its codebase."""
 
 from __future__ import annotations
 
@@ -24,11 +21,10 @@ from shift3d.detectors.models.pillar_net import decorate, segment_max
 
 
 def foreign_inputs(points: Tensor, pillars: Pillars, grid: Grid, inputs: PillarInputs) -> Tensor:
-    """Place, constants, offset to the pillar's mean, offset to its centre in x, y, z: (K, columns), by pillar.
+    """Compute position, constants, offset from the pillar's mean and from its centre in x, y, z: (K, columns).
 
-    points: (N, 3), the model's frame, metres. Differentiable w.r.t. points.
-    Source: OpenPCDet's PillarVFE; mmdetection3d's PillarFeatureNet, whose `legacy` writes the offset to the centre over
-    the coordinates.
+    Rows are sorted by pillar. points: (N, 3), model's frame, metres. Differentiable w.r.t. points. Source: OpenPCDet's
+    PillarVFE; mmdetection3d's PillarFeatureNet, whose `legacy` puts the offset from the centre over the coordinates.
     """
     decorated = decorate(points, pillars, grid)
     xyz, to_mean = decorated[:, :3], decorated[:, 3:6]
@@ -39,11 +35,11 @@ def foreign_inputs(points: Tensor, pillars: Pillars, grid: Grid, inputs: PillarI
 
 
 class ForeignEncoder(nn.Module):
-    """Layers of linear, norm and ReLU; each but the last joins a point with its pillar's maximum.
+    """Layers of linear, norm and ReLU; all but the last concatenate each point with its pillar's maximum.
 
-    Both codebases fill a pillar up to its slots with zeros after decoration and take the maximum over these, too: in a
-    pillar with fewer points, one of zeros stands for all of them. A pillar that is full keeps every point (our choice:
-    the sources keep as many as it has slots, which ones depends on the order of the points).
+    Both codebases pad a pillar to its slots with zeros after decoration, and the maximum includes the padding: here one
+    point of zeros represents all padding of a pillar. A full pillar keeps every point (our choice: the sources keep as
+    many as there are slots, and which points depends on their order).
     """
 
     def __init__(self, inputs: PillarInputs) -> None:
@@ -57,10 +53,7 @@ class ForeignEncoder(nn.Module):
         self.norms = nn.ModuleList(nn.BatchNorm1d(width, eps=inputs.eps) for width in halves)
 
     def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
-        """(K, columns), sorted by pillar -> (P, channels). Differentiable w.r.t. decorated.
-
-        Of points that tie for a maximum, each gets an equal share of the gradient.
-        """
+        """Encode (K, columns), sorted by pillar, to (P, channels). Differentiable; ties share gradients equally."""
         features, owner, counts = decorated, pillars.pillar, pillars.counts
         if self.slots is not None:
             short = torch.nonzero(counts < self.slots).flatten()
@@ -76,7 +69,7 @@ class ForeignEncoder(nn.Module):
         return highest
 
     def folded(self) -> Self:
-        """The same function in evaluation mode, norms folded into the layers, in place."""
+        """Fold the norms into the layers, in place: the same function in evaluation mode. Return self."""
         for index, (linear, norm) in enumerate(zip(self.linears, self.norms, strict=True)):
             assert isinstance(linear, nn.Linear)
             self.linears[index], self.norms[index] = folded_linear(linear, norm), nn.Identity()
@@ -84,14 +77,14 @@ class ForeignEncoder(nn.Module):
 
 
 class ForeignAnchorHeads(AnchorConvolutions):
-    """1x1 convolutions for the vehicle's logit, the box and the direction of every anchor, those of all classes."""
+    """1x1 convolutions for vehicle logit, box and direction of every anchor, including anchors of other classes."""
 
     def __init__(self, channels: int, head: AnchorHead) -> None:
         super().__init__(channels, len(head.anchors))
         self.head, self.direction_offset_rad = head, head.direction_offset_rad
 
     def anchor_rows(self, grid: Grid, window: BevWindow) -> Tensor:
-        """(A, 7) float64, the model's frame, of the window's core: over y, then x, then the anchors of a cell."""
+        """Return the anchors (A, 7) float64 of the core, model's frame, ordered by y, then x, then anchor of a cell."""
         lines, columns = core_cells(window)
         boxes = []
         for anchor in self.head.anchors:
@@ -120,10 +113,10 @@ def _convolution(channels: int, outputs: int, head: CentreHead) -> list[nn.Modul
 
 
 class CentreTower(nn.Module):
-    """The shared convolution and the branches of the vehicle's task: features (B, C, h, w) -> (B, 1 + 8, h, w).
+    """Shared convolution and branches of the vehicle's task: features (B, C, h, w) -> (B, 1 + 8, h, w).
 
-    Channels: the vehicle's logit, then offset x and y (cells), z, log of the sizes, and the turn in the source's order.
-    Differentiable w.r.t. features through the logit alone: boxes are detached.
+    Channels: vehicle logit, offset x and y (cells), z, log of the sizes, sine and cosine of the heading. Differentiable
+    w.r.t. features only through the logit: boxes are detached.
     """
 
     def __init__(self, channels: int, head: CentreHead) -> None:
@@ -141,7 +134,7 @@ class CentreTower(nn.Module):
         return torch.cat((logits, *boxes), dim=1)
 
     def folded(self) -> Self:
-        """The same function in evaluation mode, norms folded into the convolutions, in place."""
+        """Fold the norms into the convolutions, in place: the same function in evaluation mode. Return self."""
         self.shared, self.classes = folded_sequence(self.shared), folded_sequence(self.classes)
         for index, branch in enumerate(self.boxes):
             assert isinstance(branch, nn.Sequential)
@@ -150,7 +143,7 @@ class CentreTower(nn.Module):
 
 
 class MapHeads(BoxHeads):
-    """Reads what a `CentreTower` gave: a cell's logit and box code. The sources ask for no peaks."""
+    """Heads that read logit and box code from `CentreTower`; all cells enter suppression, as in the sources."""
 
     per_cell = 1
     box_layers = ()
@@ -163,7 +156,7 @@ class MapHeads(BoxHeads):
         return map_rows(features[:, 1:])
 
     def decode(self, rows: Tensor, grid: Grid, window: BevWindow) -> Tensor:
-        """See `BoxHeads.decode`. The sources count the offset from the cell's corner.
+        """See `BoxHeads.decode`. In the sources the offset is relative to the corner of the cell.
 
         Source: OpenPCDet's centernet_utils, mmdetection3d's CenterPointBBoxCoder.
         """
@@ -174,7 +167,7 @@ class MapHeads(BoxHeads):
 
 
 class ForeignNet(PillarBackboneNet):
-    """PointPillars or CenterPoint on pillars by a layout, in the model's own frame. For inference alone."""
+    """PointPillars or CenterPoint on pillars as a layout describes, in the model's frame. For inference only."""
 
     def __init__(self, layout: Layout) -> None:
         super().__init__(layout.backbone, layout.grid)
@@ -198,7 +191,7 @@ class ForeignNet(PillarBackboneNet):
         return foreign_inputs(points, pillars, self.grid, self.layout.inputs)
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
-        """See `DetectorNet`; anchors that do not stand in their cell's centre are all covered."""
+        """See `DetectorNet`; the core also covers anchors that are displaced from the centre of their cell."""
         more = self._reach_cells * self.spec.out_stride
         return super().core_span(low - more, high + more, cells)
 
@@ -206,7 +199,7 @@ class ForeignNet(PillarBackboneNet):
         return super().outer_span(*self._before_tower(core_low, core_high, 0, cells), cells)
 
     def _before_tower(self, low: int, high: int, first: int, last: int) -> tuple[int, int]:
-        """The stretch of an axis, within [first, last), whose features the tower reads for [low, high)."""
+        """Return the interval, within [first, last), of the features that the tower reads for outputs [low, high)."""
         reach = self.tower.reach * self.spec.out_stride if self.tower is not None else 0
         stride = self.spec.coarsest_stride
         return max(first, (low - reach) // stride * stride), min(last, -(-(high + reach) // stride) * stride)
@@ -214,7 +207,7 @@ class ForeignNet(PillarBackboneNet):
     def features(
         self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
     ) -> Tensor:
-        """See `DetectorNet`; behind the tower, where there is one."""
+        """See `DetectorNet`; these are the outputs of the tower if there is one."""
         if self.tower is None:
             return super().features(clouds, windows, pillars)
         y0, x0, height, width = core_in_window(windows[0])
@@ -241,7 +234,7 @@ def _set_eps(part: nn.Module, eps: float) -> None:
 
 
 def _displacement(anchor: Anchor, grid: Grid) -> int:
-    """How many cells an anchor stands away from its cell's centre at most, rounded up."""
+    """Compute the largest distance, in cells, of an anchor from the centre of its cell, rounded up."""
     centres = []
     for low, count in ((grid.x_min_m, grid.num_x), (grid.y_min_m, grid.num_y)):
         centres += [low + 0.5 * grid.cell_m, low + (count - 0.5) * grid.cell_m]

@@ -1,7 +1,6 @@
-"""OpenPCDet's YAML: PointPillar with one anchor head, and CenterPoint on pillars.
+"""Reader of OpenPCDet's YAML configs: PointPillar with one anchor head, and CenterPoint on pillars.
 
-Source: OpenPCDet 0.3 to 0.6, pcdet/models: pillar_vfe, dynamic_pillar_vfe, base_bev_backbone, anchor_head_single,
-center_head.
+Source: OpenPCDet 0.3 to 0.6: pillar_vfe, dynamic_pillar_vfe, base_bev_backbone, anchor_head_single, center_head.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ _BOX_BRANCHES = (("center", 2), ("center_z", 1), ("dim", 3), ("rot", 2))
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """A config with its `_BASE_CONFIG_` files under it: tables are merged, all else is replaced.
+    """Read a config merged over its `_BASE_CONFIG_` files: tables are merged, other values are replaced.
 
-    A base is looked for under the config's folder and those that hold it (OpenPCDet writes it from its tools/), then
-    beside the config. Raises InputError: a file is missing or no YAML.
+    Base paths are searched relative to the config's folder and its parents (OpenPCDet: relative to tools/), then by
+    file name beside the config. Raises InputError if a file is missing or not YAML.
     """
     try:
         content = yaml.safe_load(path.read_text())
@@ -65,7 +64,7 @@ def _base_file(name: str, path: Path) -> Path:
 
 
 def openpcdet_layout(path: Path, choices: Choices) -> Layout:
-    """The layout of a model config. Raises InputError naming the file, and the value that is missing or not covered."""
+    """Read the layout of a config. Raises InputError with the file and the value that is missing or not supported."""
     root = Section(read_yaml(path), str(path))
     data, model = root.section("DATA_CONFIG"), root.section("MODEL")
     model.expect("NAME", ("PointPillar", "CenterPoint"))
@@ -74,7 +73,7 @@ def openpcdet_layout(path: Path, choices: Choices) -> Layout:
     voxels, bounds = _voxels(data), data.numbers("POINT_CLOUD_RANGE", 6)
     grid = grid_of(bounds, voxels.numbers("VOXEL_SIZE", 3), spec, data)
     inputs = _inputs(model.section("VFE"), data, voxels, grid, choices)
-    if inputs.slots is None:  # points above and below the range are kept there
+    if inputs.slots is None:  # dynamic encoders keep points above and below the range
         grid = Grid(grid.x_min_m, grid.y_min_m, -_FAR_M, _FAR_M, grid.cell_m, grid.num_x, grid.num_y)
     head = model.section("DENSE_HEAD")
     head.expect("NAME", ("AnchorHeadSingle", "CenterHead"))
@@ -162,7 +161,7 @@ def _anchors(
 
 
 def _anchors_of(part: Section, bounds: tuple[float, ...], spec: BackboneSpec, grid: Grid) -> list[Anchor]:
-    """Those of one class. They stand in the centres of cells, or from one border of the range to the other."""
+    """Return the anchors of one class: in the centres of cells, or spaced from one border of the range to the other."""
     (bottom,) = part.numbers("anchor_bottom_heights", 1)
     inset = grid.cell_m * spec.out_stride / 2 if part.flag("align_center", False) else 0.0
     return [

@@ -1,4 +1,4 @@
-"""What both codebases' configs say in the same way: grid, strides, the kept class, and what a data set implies."""
+"""Common parts of both codebases' configs: grid, strides, vehicle class, and defaults per data set."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ VEHICLE_CLASSES = ("Car", "car", "Vehicle", "vehicle")
 
 @dataclass(frozen=True)
 class _DataSet:
-    """height_m: of the points' origin above the ground. turned: see `Frame`. intensity: of all, in the files' units."""
+    """Defaults. height_m: of the points' origin above ground. turned: see `Frame`. intensity: constant, file units."""
 
     height_m: float
     turned: bool
     intensity: float | None
 
 
-# Heights: KITTI's setup page; the LIDAR_TOP calibration of nuScenes; Waymo's vehicle frame stands on the ground.
-# Intensities: medians of 20 frames of KITTI and of one of nuScenes. Waymo's is an open scale: it has to be given.
+# Heights: KITTI's setup page; the LIDAR_TOP calibration of nuScenes; the origin of Waymo's vehicle frame is on the
+# ground. Intensities: medians of 20 frames of KITTI and of one of nuScenes. Waymo's scale is open: the user sets it.
 _DATA_SETS = {
     "KittiDataset": _DataSet(1.73, False, 0.27),
     "NuScenesDataset": _DataSet(1.84, True, 12.0),
@@ -33,10 +33,10 @@ _DATA_SETS = {
 
 @dataclass(frozen=True)
 class Choices:
-    """What a user says beside the config; None: as the config and its data set say.
+    """User settings that override the config and the defaults of its data set; None: no override.
 
-    vehicle_class: the class that is kept. sensor_height_m: of the model's origin above the ground. intensity: that
-    every point is given, in the model's units.
+    vehicle_class: class to keep. sensor_height_m: height of the model's origin above the ground. intensity: constant
+    for all points, in the model's units.
     """
 
     vehicle_class: str | None = None
@@ -45,7 +45,7 @@ class Choices:
 
 
 def vehicle_class(classes: Sequence[str], choices: Choices, section: Section) -> str:
-    """The class that is kept. Raises InputError: there is none of that name."""
+    """Return the class to keep. Raises InputError if the model has no class of that name."""
     wanted = (choices.vehicle_class,) if choices.vehicle_class else VEHICLE_CLASSES
     found = [name for name in wanted if name in classes]
     if not found:
@@ -55,7 +55,7 @@ def vehicle_class(classes: Sequence[str], choices: Choices, section: Section) ->
 
 
 def frame_of(data_set: str, choices: Choices, section: Section) -> Frame:
-    """The model's frame. Raises InputError: a data set whose sensor height is not known."""
+    """Return the model's frame. Raises InputError if the sensor height of the data set is unknown."""
     known = _DATA_SETS.get(data_set)
     height = choices.sensor_height_m if choices.sensor_height_m is not None else known.height_m if known else None
     if height is None:
@@ -65,9 +65,9 @@ def frame_of(data_set: str, choices: Choices, section: Section) -> Frame:
 
 
 def channel_values(channels: Sequence[str], data_set: str, choices: Choices, section: Section) -> tuple[float, ...]:
-    """A constant for each channel beside coordinates: the intensity, and 0 for times and elongations.
+    """Return a constant for each channel other than coordinates: the intensity, and 0 for timestamp and elongation.
 
-    Raises InputError: another channel, or an intensity that is not known.
+    Raises InputError for another channel or an unknown intensity.
     """
     known = _DATA_SETS.get(data_set)
     intensity = choices.intensity if choices.intensity is not None else known.intensity if known else None
@@ -82,16 +82,16 @@ def channel_values(channels: Sequence[str], data_set: str, choices: Choices, sec
 
 
 def branch_names(table: Section, boxes: Sequence[str]) -> list[str]:
-    """Names of a centre head's branches: those of boxes first. Raises InputError: another than these and "vel"."""
+    """Return the branch names of a centre head, boxes first. Raises InputError for other names than these and "vel"."""
     if surplus := sorted(set(table.values) - {*boxes, "vel"}):
         table.refuse(f"a branch {surplus[0]!r}")
     return [*boxes, *(["vel"] if table.has("vel") else [])]
 
 
 def grid_of(bounds: Sequence[float], voxel: Sequence[float], spec: BackboneSpec, section: Section) -> Grid:
-    """The grid of a range (x, y, z, x, y, z) and a voxel, metres.
+    """Make the grid of a range (x, y, z, x, y, z) and a voxel size, metres.
 
-    Raises InputError: voxels that are not pillars, not square, do not fill the range, or do not fit the strides.
+    Raises InputError if voxels are not pillars, not square, do not fill the range, or do not fit the strides.
     """
     counts = [(bounds[axis + 3] - bounds[axis]) / voxel[axis] if voxel[axis] > 0 else 0.0 for axis in range(3)]
     if any(abs(count - round(count)) > 1e-3 or round(count) < 1 for count in counts):
@@ -110,7 +110,7 @@ def backbone_of(
     section: Section, channels: int, layers: Sequence[int], strides: Sequence[int], widths: Sequence[int],
     up_strides: Sequence[float], up_widths: Sequence[int],
 ) -> BackboneSpec:  # fmt: skip
-    """The backbone and its upsampling. Raises InputError: its maps do not meet, or have several widths."""
+    """Make the backbone spec. Raises InputError if the upsampled maps have different strides or widths."""
     if len({len(part) for part in (layers, strides, widths, up_strides, up_widths)}) != 1:
         section.refuse("layers, strides, widths and upsampling are not of the same number")
     spec = BackboneSpec(channels, tuple(strides), tuple(layers), tuple(widths), up_widths[0])

@@ -1,7 +1,7 @@
-"""mmdetection3d's Python configs read as data: parsed, never run.
+"""Parser that reads mmdetection3d's Python configs as data and never executes them.
 
-A value is a literal, `dict(...)`, a name that was given one, `_base_.name`, an index or a slice of a list, `sum` of a
-list, or arithmetic of these. What is none of them is kept as unread, with its line, and refused where it is needed.
+A value is a literal, `dict(...)`, an assigned name, `_base_.name`, an index or slice of a list, `sum` of a list, or
+arithmetic of these. Any other expression is stored as `Unread` with its line, and refused only if it is needed.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Div: operator.truediv,
     ast.FloorDiv: operator.floordiv,
 }
-_LARGEST = 100_000  # entries of a list or letters of a text that arithmetic makes
+_LARGEST = 100_000  # largest length of a list or text that arithmetic may make
 
 
 class _NotDataError(Exception):
-    """An expression that only running it would tell."""
+    """Expression whose value would need execution."""
 
 
 def read_python_config(path: Path) -> dict[str, Any]:
-    """The names that a config gives values, its `_base_` files' under them: tables are merged, all else is replaced.
+    """Read the values of a config by name, merged over its `_base_` files: tables are merged, others are replaced.
 
-    Base files lie beside the config, by the relative paths that it names. Raises InputError: a file is missing or no
-    Python, or has a statement that is neither a value with a name, an import nor a text.
+    Base paths are relative to the config. Raises InputError if a file is missing or not Python, or has statements other
+    than assignments to names, imports and constants.
     """
     return _read(path, ())
 
@@ -59,7 +59,7 @@ def _read(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 
 
 class _Reader:
-    """The assignments of one file, and their values."""
+    """Evaluator of the assignments of one file."""
 
     def __init__(self, file: str) -> None:
         self._file = file
@@ -67,7 +67,7 @@ class _Reader:
         self._names: dict[str, Any] = {}
 
     def take(self, statement: ast.stmt) -> None:
-        """Note a statement. Raises InputError: it may change values in a way that is not read."""
+        """Record a statement. Raises InputError for a kind of statement that could change values unnoticed."""
         match statement:
             case ast.Assign(targets=[ast.Name(id=name)], value=value):
                 self._assigned.append((name, value))
@@ -87,7 +87,7 @@ class _Reader:
         return list(names)
 
     def with_base(self, base: dict[str, Any]) -> dict[str, Any]:
-        """All values, in order. base: what `_base_` stands for."""
+        """Evaluate all assignments in order. base: value of `_base_`."""
         self._names = {_BASE: base}
         for name, value in self._assigned:
             if name != _BASE:
@@ -137,7 +137,7 @@ def _plain(value: Any) -> Any:
 
 
 def _sized(combine: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
-    """The result of arithmetic; no list or text is made that a short line could make endless."""
+    """Compute a binary operation; refuse to make lists or texts longer than _LARGEST."""
     if combine is operator.mul:
         sizes = [len(side) for side in (left, right) if isinstance(side, list | tuple | str)]
         counts = [side for side in (left, right) if isinstance(side, int)]

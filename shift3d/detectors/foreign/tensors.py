@@ -1,4 +1,4 @@
-"""Names and shapes that a model's tensors have in its own codebase, and where each goes in the network here."""
+"""Names and shapes of a model's tensors in its codebase, and the matching parameter names of `ForeignNet`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NORM = ("weight", "bias", "running_mean", "running_var")
 
 @dataclass(frozen=True)
 class Entry:
-    """A tensor of the source. target: its name here, None: of a part that is not needed. pick: what is taken of it."""
+    """Tensor of the source. target: parameter of `ForeignNet`, None: not needed. pick: selects the part to copy."""
 
     name: str
     shape: Shape
@@ -25,7 +25,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class _Names:
-    """How a codebase names the parts. padded: a block begins with a module that has no tensor."""
+    """Module names of a codebase. padded: each block starts with a module that has no tensor."""
 
     encoder: str
     blocks: str
@@ -49,7 +49,7 @@ _MMDET3D = _Names(
 
 
 def entries(layout: Layout) -> Iterator[Entry]:
-    """Every tensor of the model but the counters of norms."""
+    """Yield every tensor of the model, except the counters of norms."""
     names, prefix = (_OPENPCDET, "") if layout.source == "openpcdet" else (_MMDET3D, layout.prefix)
     yield from _encoder(layout, prefix + names.encoder)
     yield from _blocks(layout, names, prefix)
@@ -96,7 +96,7 @@ def _ups(layout: Layout, name: str) -> Iterator[Entry]:
         size = spec.out_stride // stride if down else stride // spec.out_stride
         plain = layout.plain_up and size == 1
         shape = (outputs, width, size, size) if down or plain else (width, outputs, size, size)
-        # A 1x1 convolution is the same map as a transposed one.
+        # A 1x1 convolution equals a transposed one, with the first two axes of the weight swapped.
         pick: Callable[[Tensor], Tensor] | None = (lambda weight: weight.transpose(0, 1)) if plain else None
         yield Entry(f"{there}.0.weight", shape, f"{here}.0.weight", pick)
         yield from _norm(f"{there}.1", outputs, f"{here}.1")
@@ -161,7 +161,7 @@ def _stack(
 
 
 def _before_norm(head: CentreHead, name: str, shape: Shape, target: str) -> Iterator[Entry]:
-    """A convolution before a norm, with a bias where the head has them."""
+    """Yield a convolution before a norm, with its bias if the head has biases there."""
     both = _layer(name, shape, target, None)
     yield next(both)
     if head.biased:

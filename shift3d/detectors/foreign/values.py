@@ -1,4 +1,4 @@
-"""Sections of a config, read by name: what is missing or of another kind is an error that says where."""
+"""Typed access to the values of a config: a missing value or a wrong type raises an error with file and path."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from shift3d.errors import InputError
 
 _REQUIRED: Any = object()
 DELETE = "_delete_"
-"""In a table of mmdetection3d's: nothing of the table under it is kept."""
+"""Key in a table of mmdetection3d: the table replaces the base table instead of being merged."""
 
 
 @dataclass(frozen=True)
 class Unread:
-    """What a config says at a line in a way that only running it would tell."""
+    """Expression of a config whose value would need execution."""
 
     text: str
     file: str
@@ -24,7 +24,7 @@ class Unread:
 
 
 def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """A config over its base: tables are merged, all else is replaced."""
+    """Merge a config over its base: tables are merged, other values are replaced."""
     result = dict(under)
     for key, value in over.items():
         if isinstance(value, dict):
@@ -37,21 +37,21 @@ def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Section:
-    """A table of a config. file: named in errors. path: what leads to it, with dots."""
+    """Table of a config. file: named in error messages. path: of the table, with dots."""
 
     values: Mapping[str, Any]
     file: str
     path: str = ""
 
     def refuse(self, what: str, remedy: str = "Give a model that docs/guides/detectors.md lists") -> NoReturn:
-        """Raise InputError: this section describes a model that is not covered."""
+        """Raise InputError: this section describes a model that is not supported."""
         raise InputError(f"{self.path}: {what}" if self.path else what, self.file, remedy)
 
     def has(self, name: str) -> bool:
         return self.values.get(name) is not None
 
     def get(self, name: str, default: Any = _REQUIRED) -> Any:
-        """A value as it is; the default where it is missing. Raises InputError: no such value, or no literal."""
+        """Return a value, or the default if it is missing. Raises InputError if it is required or not a literal."""
         value = self.values.get(name, default)
         if value is _REQUIRED:
             self.refuse(f"{name} is missing", "Give the config that the model was trained with")
@@ -61,13 +61,13 @@ class Section:
         return value
 
     def expect(self, name: str, wanted: Any, default: Any = _REQUIRED) -> None:
-        """Refuse another value than the one wanted, or, of a tuple, than one of those."""
+        """Refuse a value other than `wanted`, or not in `wanted` if that is a tuple."""
         value, known = self.get(name, default), wanted if isinstance(wanted, tuple) else (wanted,)
         if value not in known:
             self.refuse(f"{name} is {repr(value)[:80]}, not {' or '.join(repr(one) for one in known)}")
 
     def absent(self, *names: str) -> None:
-        """Refuse any of these, where it is there: a part that is not covered."""
+        """Refuse the section if one of these parts, which are not supported, is present."""
         for name in names:
             if self.has(name):
                 self.refuse(f"{name} is there")
@@ -88,7 +88,7 @@ class Section:
         return self._number(name, self.get(name, default))
 
     def whole(self, name: str, default: Any = _REQUIRED) -> int:
-        """A whole number, 1 or more."""
+        """Return an integer of at least 1."""
         return self._whole(name, self.get(name, default))
 
     def text(self, name: str, default: Any = _REQUIRED) -> str:
@@ -107,7 +107,7 @@ class Section:
         return tuple(self._number(name, value) for value in self.sequence(name, default, count))
 
     def wholes(self, name: str, count: int | None = None, default: Any = _REQUIRED) -> tuple[int, ...]:
-        """Whole numbers, 1 or more each."""
+        """Return integers of at least 1."""
         return tuple(self._whole(name, value) for value in self.sequence(name, default, count))
 
     def texts(self, name: str) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ class Section:
         return [row.numbers(name, width) for row in rows]
 
     def sequence(self, name: str, default: Any = _REQUIRED, count: int | None = None) -> Sequence[Any]:
-        """A list that is not empty, of `count` values."""
+        """Return a non-empty list, of `count` values if given."""
         value = self.get(name, default)
         if not isinstance(value, list | tuple) or not value or (count is not None and len(value) != count):
             self._wrong(name, value, f"a list of {count}" if count else "a list")

@@ -1,1 +1,1 @@
-"""Incremental inference: from frame to frame of one scene, only what changed and is needed is computed."""
+"""Incremental inference: each frame of a scene recomputes only cells that changed and that the output needs."""

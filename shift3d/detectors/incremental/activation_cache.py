@@ -1,4 +1,4 @@
-"""Activations of one window, kept from frame to frame and recomputed where they changed and are needed."""
+"""Cache of the activations of one window across frames; recomputes cells that changed and are needed."""
 
 from __future__ import annotations
 
@@ -15,16 +15,13 @@ from shift3d.processor import pad_to_bucket
 
 
 class ActivationCache:
-    """Activations of one window, recomputed where they changed and are needed.
-
-    canvas: (rows, C) pillar features by cell number, the backbone's dtype; the caller writes them.
-    """
+    """Activations of one window. canvas: (rows, C) pillar features by cell, backbone dtype; callers write it."""
 
     def __init__(self, net: SparseBackbone, window: MapShape) -> None:
         self.net = net
         self.shapes = net.shapes(window)
         widths = [net.chain[0].weight.shape[1] // 9, *(layer.weight.shape[0] for layer in net.chain)]
-        # Zeros that are never written take no memory: pages come with the first write.
+        # Zeros that are never written take no memory: the system allocates a page at its first write.
         self._activations = [
             net.chain[0].weight.new_zeros(shape.rows, width) for shape, width in zip(self.shapes, widths, strict=True)
         ]
@@ -34,7 +31,7 @@ class ActivationCache:
             rows, (channels, outputs) = self.shapes[branch.last_layer + 1].rows, branch.heads.shape
             self._up_active.append(torch.zeros(rows, branch.factor**2 * channels, dtype=torch.bool))
             self._head_parts.append(branch.heads.new_zeros(rows, branch.factor**2 * outputs))
-        # What changed since it was computed: at first, everything.
+        # Cells that changed since they were last computed; initially all cells.
         self._stale = [whole_set(shape) for shape in self.shapes]
         self._stale_heads = [whole_set(self.shapes[branch.last_layer + 1]) for branch in net.branches]
 
@@ -43,15 +40,15 @@ class ActivationCache:
         return self._activations[0]
 
     def due(self, changed: ActiveSites, needed: ActiveSites) -> ActiveSites:
-        """The input cells to be written before `advance`: changed now or earlier, and needed.
+        """Return the input cells that the caller must write before `advance`: changed and needed cells.
 
-        What is changed and not needed is kept in mind until it is.
+        Changed cells that are not needed stay marked as stale until a later call needs them.
         """
         due, self._stale[0] = _split(changed | self._stale[0], needed)
         return due
 
     def advance(self, written: ActiveSites, needed: list[ActiveSites], outputs: ActiveSites) -> None:
-        """Carry the cells of the canvas that were written to everything that is needed.
+        """Recompute the needed cells of all layers that depend on the written canvas cells.
 
         needed: `SparseBackbone.needed` of the output cells `outputs`. Not differentiable: see `SparseBackward`.
         """
@@ -85,9 +82,9 @@ class ActivationCache:
             self._up_active[number].index_copy_(0, rows, features > 0)
 
     def heads(self, core: tuple[int, int, int, int]) -> Tensor:
-        """(h, w, H): the heads' outputs of the core (y0, x0, height, width), aligned to the stride; exact dtype.
+        """Return the head outputs (h, w, H) of the core (y0, x0, height, width), aligned to the stride; exact dtype.
 
-        H: class logits of the cell's proposals, then what the box layers give.
+        H: class logits of the cell's proposals, then the outputs of the box layers.
         """
         y0, x0, height, width = core
         total = self.net.head_bias.expand(height, width, -1).clone()
@@ -100,7 +97,7 @@ class ActivationCache:
         return total
 
     def backward(self, with_grad: ActiveSites, needed: list[ActiveSites], outputs: ActiveSites) -> SparseBackward:
-        """What a backward pass from the outputs to the canvas cells `with_grad` needs. Later calls do not touch it."""
+        """Return the backward pass from the outputs to the canvas cells `with_grad`; later calls do not change it."""
         reach, activations = with_grad & needed[0], []
         cells = [np.flatnonzero(reach)]
         for index, layer in enumerate(self.net.chain):
@@ -116,8 +113,7 @@ class ActivationCache:
 
 
 def _batches(cells: SiteIndices, dtype: torch.dtype) -> Iterator[SiteIndices]:
-    """Cells a batch at a time. In bfloat16 the last one stands in a batch as often as makes it a round one: it is
-    computed again to the same values."""
+    """Split cells into batches. In bfloat16 the last cell repeats up to `pad_to_bucket` rows, with the same result."""
     for start in range(0, len(cells), ROWS_AT_ONCE):
         part = cells[start : start + ROWS_AT_ONCE]
         yield np.pad(part, (0, pad_to_bucket(len(part)) - len(part)), mode="edge") if dtype == torch.bfloat16 else part

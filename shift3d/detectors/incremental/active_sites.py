@@ -1,7 +1,7 @@
-"""Sets of cells of a map: how a 3x3 convolution (padding 1, any stride) carries them on, where points changed.
+"""Sets of active cells of a map, and their propagation through 3x3 convolutions (padding 1, any stride).
 
-A set is a boolean mask (H + 2, W + 2): the map with a ring of one cell around it, which is the convolution's zero
-padding and never belongs to a set. A cell's number is its place in the flattened mask.
+A set is a boolean mask (H + 2, W + 2): the map and a ring of one cell around it. The ring is the zero padding of the
+convolution and never belongs to a set. The number of a cell is its index in the flattened mask.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ class MapShape:
 
     @property
     def rows(self) -> int:
-        """Cells with the ring: what a cell's number is below."""
+        """Number of cells including the ring: the upper bound of cell numbers."""
         return (self.height + 2) * (self.width + 2)
 
     def strided(self, stride: int) -> MapShape:
-        """The map that a 3x3 convolution with padding 1 makes of this one."""
+        """Return the shape of this map after a 3x3 convolution with padding 1."""
         return MapShape((self.height - 1) // stride + 1, (self.width - 1) // stride + 1)
 
     def neighbours(self, cells: SiteIndices, stride: int) -> SiteIndices:
-        """(n, 9): the cells of this map that the given cells (n,) of the strided map read, by row, then column."""
+        """Return the cells (n, 9) of this map that cells (n,) of the strided map read, by row, then column."""
         offsets = (np.arange(3)[:, None] * (self.width + 2) + np.arange(3)).reshape(-1)
         return np.asarray(_first_read(self, stride)[cells][:, None] + offsets, dtype=np.int64)
 
 
 @lru_cache(maxsize=64)
 def _first_read(shape: MapShape, stride: int) -> SiteIndices:
-    """The first cell of a map that each cell of the strided map reads; meaningless for the ring."""
+    """Compute the first cell of a map that each cell of the strided map reads; meaningless for cells of the ring."""
     strided = shape.strided(stride)
     y, x = np.arange(strided.height + 2) - 1, np.arange(strided.width + 2) - 1
     first = (y[:, None] * (shape.width + 2) + x).reshape(-1) * stride
@@ -54,19 +54,19 @@ def _first_read(shape: MapShape, stride: int) -> SiteIndices:
 
 
 def empty_set(shape: MapShape) -> ActiveSites:
-    """No cell of a map."""
+    """Return the empty set of cells."""
     return np.zeros((shape.height + 2, shape.width + 2), dtype=bool)
 
 
 def whole_set(shape: MapShape) -> ActiveSites:
-    """Every cell of a map."""
+    """Return the set of all cells."""
     result = empty_set(shape)
     result[1:-1, 1:-1] = True
     return result
 
 
 def reached(cells: ActiveSites, stride: int) -> ActiveSites:
-    """The cells of the strided map that read one of these."""
+    """Return the cells of the strided map that read at least one of the given cells."""
     shape = MapShape(cells.shape[0] - 2, cells.shape[1] - 2).strided(stride)
     result = empty_set(shape)
     spans = _taps(shape.height, stride)
@@ -77,7 +77,7 @@ def reached(cells: ActiveSites, stride: int) -> ActiveSites:
 
 
 def sources(cells: ActiveSites, stride: int, shape: MapShape) -> ActiveSites:
-    """The cells of a map of this shape that the given cells of the strided map read."""
+    """Return the cells of a map of shape `shape` that the given cells of the strided map read."""
     inner = cells[1:-1, 1:-1]
     lines = np.zeros((shape.height + 2, inner.shape[1]), dtype=bool)
     for span in _taps(inner.shape[0], stride):
@@ -91,7 +91,7 @@ def sources(cells: ActiveSites, stride: int, shape: MapShape) -> ActiveSites:
 
 
 def pooled(cells: ActiveSites, factor: int) -> ActiveSites:
-    """The cells of a map coarser by `factor`, a divisor of its sides, that hold one of these."""
+    """Return the cells of the map coarser by `factor` (a divisor of both sides) that contain a given cell."""
     inner = cells[1:-1, 1:-1]
     result = empty_set(MapShape(inner.shape[0] // factor, inner.shape[1] // factor))
     lines = np.logical_or.reduce([inner[first::factor] for first in range(factor)])
@@ -100,7 +100,7 @@ def pooled(cells: ActiveSites, factor: int) -> ActiveSites:
 
 
 def fine_cells(coarse: SiteIndices, factor: int, fine: MapShape) -> SiteIndices:
-    """(n, factor²): the cells of the map `fine` inside the given cells (n,) of the map coarser by `factor`."""
+    """Return the cells (n, factor²) of the map `fine` inside the cells (n,) of the map coarser by `factor`."""
     y, x = np.divmod(coarse, fine.width // factor + 2)
     first = ((y - 1) * factor + 1) * (fine.width + 2) + (x - 1) * factor + 1
     offsets = (np.arange(factor)[:, None] * (fine.width + 2) + np.arange(factor)).reshape(-1)
@@ -108,7 +108,7 @@ def fine_cells(coarse: SiteIndices, factor: int, fine: MapShape) -> SiteIndices:
 
 
 def _taps(outputs: int, stride: int) -> tuple[slice, slice, slice]:
-    """For each of the kernel's three places on an axis: the ringed input cells that the outputs read there."""
+    """Return for each of the three kernel taps on an axis the slice of input cells (ring included) that it reads."""
     last = stride * (outputs - 1) + 1
     return slice(0, last, stride), slice(1, last + 1, stride), slice(2, last + 2, stride)
 
@@ -123,10 +123,9 @@ def contains(outer: BevWindow, inner: BevWindow) -> bool:
 
 
 class PointSites:
-    """One frame's points and the cells of the cached window that they lie in.
+    """Points of the current frame and their cells in the cached window.
 
-    A point that has no
-    cell (outside, not finite) is given number 0, which belongs to the ring and never to a set.
+    A point without a cell (outside the window or not finite) has cell number 0, which is in the ring, so in no set.
     """
 
     def __init__(self, grid: Grid, window: BevWindow, dtype: torch.dtype) -> None:
@@ -136,7 +135,7 @@ class PointSites:
         self._points = torch.empty(0, 3, dtype=dtype)
 
     def changed(self, points: Tensor) -> ActiveSites:
-        """Take points (N, 3) for the next frame: the cells that held or hold a point that is not where it was."""
+        """Store points (N, 3) of the next frame. Return the cells that a moved point left or entered."""
         changed = empty_set(self.shape)
         flat = changed.reshape(-1)
         if points.shape != self._points.shape:
@@ -144,7 +143,7 @@ class PointSites:
             self.cell_of_point = self._cells_of(points)
             flat[self.cell_of_point] = True
         else:
-            rows = np.flatnonzero((points != self._points).numpy()) // 3  # some of them more than once
+            rows = np.flatnonzero((points != self._points).numpy()) // 3  # may have duplicates
             flat[self.cell_of_point[rows]] = True
             self.cell_of_point[rows] = self._cells_of(points[torch.from_numpy(rows)])
             flat[self.cell_of_point[rows]] = True
@@ -158,17 +157,17 @@ class PointSites:
         return np.where(inside, numbers, 0.0).astype(np.int64)
 
     def cells(self, chosen: Tensor | None = None) -> ActiveSites:
-        """The cells that hold a point; chosen: (N,) bool, one of these points."""
+        """Return the cells that contain a point, or a point of the mask `chosen` (N,) bool."""
         cells = empty_set(self.shape)
         cells.reshape(-1)[self.cell_of_point if chosen is None else self.cell_of_point[chosen.numpy()]] = True
         cells[0, 0] = False
         return cells
 
     def rows(self, among: ActiveSites) -> Tensor:
-        """The points in these cells, int64."""
+        """Return the indices of the points in the given cells, int64."""
         return torch.from_numpy(np.flatnonzero(among.reshape(-1)[self.cell_of_point]))
 
     def indices(self, pillars: Pillars) -> SiteIndices:
-        """(P,) the cells of pillars of this window."""
+        """Return the cell numbers (P,) of pillars of this window."""
         lines, columns = pillars.cell_y - (self.window.y0 - 1), pillars.cell_x - (self.window.x0 - 1)
         return np.asarray((lines * (self.shape.width + 2) + columns).numpy(), dtype=np.int64)

@@ -1,9 +1,9 @@
-"""Incremental inference: from frame to frame of one scene, what did not change is not computed again.
+"""Incremental inference: reuses activations of earlier frames of a scene where they did not change.
 
-An attack shows a detector the same scene some forty times; between two times a few hundred points move. A network of
-finite receptive field then changes only around these, and a loss around the object needs only what its proposals see.
-Exactly that is computed (`pillars`, `tokens`). The result is that of the whole scene, up to the order
-of floating-point sums.
+An attack shows the same scene to a detector some forty times; a few hundred points move from one frame to the next. In
+a network of finite receptive field, activations change only near moved points, and a loss around the object needs only
+the receptive field of its proposals. `pillars` and `tokens` compute exactly the intersection of both. The result equals
+that of the whole scene, up to the order of floating-point sums.
 """
 
 from __future__ import annotations
@@ -25,27 +25,26 @@ class IncrementalInference(Protocol):
     def proposals(
         self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
     ) -> Proposals:
-        """As the detector's own, of the window's core; window None: of the cached one.
+        """Return the proposals that the detector returns for the window's core; window None: the cached window.
 
-        points: (N, 3), network frame, metres. N and the order stay the same where as much as possible is to be
-        saved; any points are right. requires_grad: (N,) bool, the points whose gradient is asked for; that of
-        others may be missing. None: all of them.
+        points: (N, 3), network frame, metres. Any points give correct results; constant N and order save the most time.
+        requires_grad: (N,) bool, the points that need a gradient (None: all); the gradient of others may be missing.
         """
         ...
 
     def fork(self) -> Self:
-        """A second one that goes on from the frame of this one; neither changes the other."""
+        """Return an independent copy that continues from the current frame."""
         ...
 
 
 def incremental_inference(detector: Detector, window: BevWindow) -> IncrementalInference:
-    """A detector's own incremental inference, or one that computes the whole window in every frame."""
+    """Return the detector's incremental inference, or `WholeWindow` if the detector has none."""
     own: Callable[[BevWindow], IncrementalInference] | None = getattr(detector, "incremental", None)
     return WholeWindow(detector, window) if own is None else own(window)
 
 
 class WholeWindow:
-    """Computes the whole window in every frame."""
+    """Fallback that computes the whole window in every frame."""
 
     def __init__(self, detector: Detector, window: BevWindow) -> None:
         self._detector, self._window = detector, window
@@ -56,10 +55,10 @@ class WholeWindow:
         return self._detector.proposals(points, window or self._window)
 
     def fork(self) -> WholeWindow:
-        """Itself: it keeps nothing."""
+        """Return itself, because it has no state."""
         return self
 
 
 def copied_but_for(frames: T, *shared: Any) -> T:
-    """A deep copy that shares some parts, such as networks."""
+    """Return a deep copy that shares the given parts, such as networks."""
     return copy.deepcopy(frames, {id(part): part for part in shared})

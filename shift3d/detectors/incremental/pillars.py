@@ -1,10 +1,10 @@
-"""Pillar detectors through the frames of one scene: only cells that changed and are needed are computed again.
+"""Incremental inference of pillar detectors across the frames of one scene.
 
-Layer by layer, the cells that changed AND are needed; all other activations are those of earlier calls. Backward
-likewise: only through cells between a point whose gradient is asked for and a logit that carries one.
+Each layer recomputes the cells that changed AND are needed; other activations come from earlier calls. The backward
+pass runs only through cells between a point that needs a gradient and a logit that has one.
 
-Cells, not rectangles: what an object hides and uncovers changes single cells all along its shadow, and on streets
-the bounding rectangle of all changes would hold 1.1 to 2 times the operations.
+Sets of single cells replace rectangles because an object changes cells all along its shadow: on streets the bounding
+rectangle of all changes would cost 1.1 to 2 times the operations.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class IncrementalPillars:
     def __init__(
         self, net: PillarBackboneNet, cells: SparseBackbone, window: BevWindow, plain: Plain, boxed: Boxed
     ) -> None:
-        """net: for inference. cells: its backbone.
+        """Set up the cache of a window.
 
-        plain: the detector's own proposals, for windows beyond the cached one. boxed: (logits, rows of the
-        box layers, window) -> proposals.
+        net: for inference. cells: backbone of `net` as matrices. plain: proposals without cache, for windows beyond the
+        cached one. boxed: (logits, outputs of the box layers, window) -> proposals.
         """
         self._net, self._cells, self._window, self._plain, self._boxed = net, cells, window, plain, boxed
         self._points = PointSites(net.grid, window, cells.exact)
@@ -48,17 +48,17 @@ class IncrementalPillars:
 
     @staticmethod
     def is_aligned(net: PillarBackboneNet, window: BevWindow) -> bool:
-        """Whether the window is a whole number of the coarsest map's cells."""
+        """True if the window consists of whole cells of the coarsest map."""
         stride = net.spec.total_strides[-1]
         return all(span % stride == 0 for span in (window.x0, window.y0, window.num_x, window.num_y))
 
     def proposals(
         self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
     ) -> Proposals:
-        """See `IncrementalInference`. A window that reaches beyond the cached one is computed as a whole.
+        """See `IncrementalInference`. A window that extends beyond the cached one is computed without the cache.
 
-        Deterministic to the bit for the same calls in the same order; the same points after other calls may
-        differ by rounding. Not differentiable twice.
+        Deterministic bit for bit for the same sequence of calls; other earlier calls may change the rounding. Not
+        differentiable twice.
         """
         window = window or self._window
         if points.ndim != 2 or points.shape[1] != 3 or not contains(self._window, window):
@@ -84,7 +84,7 @@ class IncrementalPillars:
         return copied_but_for(self, self._net, self._cells, self._plain, self._boxed)
 
     def _look_at(self, window: BevWindow) -> _Rectangle:
-        """The window's core (y0, x0, height, width) in the cached one, in output cells: what the next steps compute."""
+        """Set the output cells to the window's core. Return the core (y0, x0, height, width) in output cells."""
         cached = self._window
         step = self._cells.out_stride
         y0, x0 = (window.core_y0 - cached.y0) // step, (window.core_x0 - cached.x0) // step
@@ -96,7 +96,7 @@ class IncrementalPillars:
         return core
 
     def _write(self, points: Tensor, among: ActiveSites, due: ActiveSites) -> tuple[Tensor, SiteIndices]:
-        """The features (P, C) of the pillars among these cells, and their cells; those due go into the canvas."""
+        """Return features (P, C) and cells of the pillars in `among`; write the features of due cells to the canvas."""
         rows = self._points.rows(among)
         pillars, features = self._net.pillar_features(points.index_select(0, rows), self._window)
         cells = self._points.indices(pillars)
@@ -110,20 +110,20 @@ class IncrementalPillars:
 
 
 class _Link(torch.autograd.Function):
-    """Hangs logits that were computed already to the pillar features that they depend on."""
+    """Autograd link from precomputed logits to the pillar features that they depend on."""
 
     @staticmethod
     def forward(
         ctx: Any, features: Tensor, logits: Tensor, sparse: SparseBackward, cells: SiteIndices, core: _Rectangle
     ) -> Tensor:
-        """features (P, C) of the pillars in `cells`, ascending; logits (A,) of the core."""
+        """Return the logits (A,) of the core. features: (P, C) of the pillars in `cells`, ascending."""
         ctx.sparse, ctx.cells, ctx.core, ctx.dtype = sparse, cells, core, features.dtype
         return logits.clone()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        """The gradient at the features; None for the rest."""
+        """Compute the gradient w.r.t. the features; None for the other inputs."""
         sparse: SparseBackward = ctx.sparse
         y0, x0, height, width = ctx.core
         shape = sparse.net.output_shape(sparse.shapes[0])

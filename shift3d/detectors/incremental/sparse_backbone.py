@@ -1,8 +1,8 @@
-"""The pillar detectors' backbone and heads evaluated cell by cell: what changed and is needed, and nothing else.
+"""Sparse evaluation of the pillar detectors' backbone and heads on chosen cells.
 
-A convolution of chosen cells is a matrix product of their gathered 3x3 neighbourhoods. On one core of the machine at
-hand that runs as fast per operation as a dense convolution (75 to 83 GFLOP/s against 55 to 84 in float32), so that
-operations saved are time saved, whatever shape the chosen cells have.
+A convolution of chosen cells is a matrix product of their gathered 3x3 neighbourhoods. Measured on one CPU core in
+float32, it is as fast per operation as a dense convolution (75 to 83 GFLOP/s against 55 to 84): saved operations save
+time in proportion, whatever the shape of the chosen set.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from shift3d.detectors.models.network import BoxHeads
 from shift3d.processor import pad_to_bucket
 
 ROWS_AT_ONCE = 1024
-"""Neighbourhoods gathered at once, at most: 9 MB of float32 at 256 channels, which the caches hold."""
+"""Largest number of neighbourhoods gathered at once: 9 MB of float32 at 256 channels, which fits the CPU caches."""
 
 
 @dataclass(frozen=True)
 class _Convolution:
-    """weight: (c_out, 9 c_in), columns by the kernel's row, its column, the channel. bias: (c_out,)."""
+    """3x3 convolution as a matrix. weight: (c_out, 9 c_in), columns by kernel row, column, channel. bias: (c_out,)."""
 
     weight: Tensor
     bias: Tensor
@@ -41,10 +41,10 @@ class _Convolution:
 
 @dataclass(frozen=True)
 class _Branch:
-    """A block's way to the heads.
+    """Upsampling of one block's output and the part of the heads that reads it.
 
-    up_weight: (s² u, c), rows by line and column within the cell, then channel; up_bias: (s² u,). heads: (u, h), the
-    heads' columns for this branch, in the precision that must be exact.
+    up_weight: (s² u, c), rows by row and column within the cell, then channel; up_bias: (s² u,). heads: (u, h), the
+    head weights of this branch, in the exact dtype.
     """
 
     last_layer: int
@@ -55,10 +55,10 @@ class _Branch:
 
 
 class SparseBackbone:
-    """The folded backbone and heads as matrices. Nothing here changes once made; any number of caches share it."""
+    """Folded backbone and heads as matrices. Immutable, so any number of caches can share one instance."""
 
     def __init__(self, backbone: Backbone, heads: BoxHeads, exact: torch.dtype) -> None:
-        """backbone, heads: folded, for inference. exact: dtype of logits and box codes."""
+        """Convert the layers to matrices. backbone, heads: folded, for inference. exact: dtype of logits and boxes."""
         self.exact = exact
         chain: list[_Convolution] = []
         branches = []
@@ -82,18 +82,18 @@ class SparseBackbone:
         self.branches = tuple(branches)
 
     def shapes(self, window: MapShape) -> list[MapShape]:
-        """Of the input and of every layer's output."""
+        """Return the map shapes of the input and of every layer's output."""
         result = [window]
         for layer in self.chain:
             result.append(result[-1].strided(layer.stride))
         return result
 
     def output_shape(self, window: MapShape) -> MapShape:
-        """Of the map that the heads read. window: of the input, a multiple of the stride."""
+        """Return the shape of the map that the heads read. window: input shape, a multiple of the stride."""
         return MapShape(window.height // self.out_stride, window.width // self.out_stride)
 
     def needed(self, outputs: ActiveSites) -> list[ActiveSites]:
-        """The cells of the input and of every layer that the features of these output cells depend on."""
+        """Return the cells of the input and of every layer that the output cells `outputs` depend on."""
         height, width = (self.out_stride * (cells - 2) for cells in outputs.shape)
         shapes = self.shapes(MapShape(height, width))
         result = [empty_set(shape) for shape in shapes]
@@ -112,11 +112,11 @@ def _convolution(layer: nn.Conv2d) -> _Convolution:
 
 @dataclass(frozen=True)
 class SparseBackward:
-    """The backward pass from class logits to the cells with a gradient of the canvas.
+    """Backward pass from class logits to the canvas cells that need a gradient.
 
-    cells: of the input and of every layer, ascending, those that depend on a cell with a gradient and are needed.
-    activations: (n, C) each, of the layers' cells. up_cells: of the branches, where they are upsampled; up_active:
-    (n, s² u) each, which outputs are positive there.
+    cells: of the input and of each layer, ascending, the needed cells that depend on a canvas cell with a gradient.
+    activations: (n, C) per layer, at `cells`. up_cells: per branch, the upsampled cells; up_active: (n, s² u) per
+    branch, mask of the positive outputs at `up_cells`.
     """
 
     net: SparseBackbone
@@ -127,9 +127,10 @@ class SparseBackward:
     up_active: list[Tensor]
 
     def gradient(self, logits: Tensor) -> Tensor:
-        """(L, C) gradient at the canvas cells, by number, from that at the class logits (window's cells, per cell).
+        """Compute the gradient (L, C) at the canvas cells `cells[0]`.
 
-        Runs through cells between such a cell and a logit with a gradient that is not zero, and through no other.
+        logits: gradient of the class logits (cells of the output map with its ring, proposals per cell). Visits only
+        cells between these canvas cells and a logit whose gradient is not zero.
         """
         chain = self.net.chain
         outputs = empty_set(self.net.output_shape(self.shapes[0]))
@@ -151,10 +152,10 @@ class SparseBackward:
         return self._through(0, gradient, above, self.cells[0])
 
     def _through(self, index: int, gradient: Tensor, outputs: SiteIndices, inputs: SiteIndices) -> Tensor:
-        """The gradient (n, c_in) at a layer's inputs from that (m, c_out) at its outputs, before the ReLU."""
+        """Compute the gradient (n, c_in) at a layer's inputs from that (m, c_out) at its outputs before the ReLU."""
         layer, shape = self.net.chain[index], self.shapes[index]
         channels = layer.weight.shape[1] // 9
-        place = np.full(shape.rows, len(inputs), dtype=np.int64)  # one row more, for what nobody asks for
+        place = np.full(shape.rows, len(inputs), dtype=np.int64)  # an extra row collects gradients that are not needed
         place[inputs] = np.arange(len(inputs))
         result = gradient.new_zeros(len(inputs) + 1, channels, dtype=self.net.exact)
         for start in range(0, len(outputs), ROWS_AT_ONCE):
@@ -165,7 +166,7 @@ class SparseBackward:
         return result[:-1].to(gradient.dtype)
 
     def _add_branch(self, number: int, logits: Tensor, outputs: ActiveSites, cells: SiteIndices, total: Tensor) -> None:
-        """Add to total (n, C), at these cells of a block's last layer, what comes back through its upsampling."""
+        """Add the gradient through a block's upsampling to total (n, C), the gradient at cells of its last layer."""
         branch, all_cells = self.net.branches[number], self.up_cells[number]
         kept = np.flatnonzero(pooled(outputs, branch.factor).reshape(-1)[all_cells])
         fine = fine_cells(all_cells[kept], branch.factor, self.net.output_shape(self.shapes[0]))
@@ -178,7 +179,7 @@ class SparseBackward:
 
 
 def _product(rows: Tensor, weight: Tensor) -> Tensor:
-    """rows (N, in) @ weight (in, out), in bfloat16 as part of a round batch."""
+    """Compute rows (N, in) @ weight (in, out). In bfloat16 N is padded as `pad_to_bucket` says."""
     if weight.dtype != torch.bfloat16:
         return rows @ weight
     more = pad_to_bucket(len(rows)) - len(rows)

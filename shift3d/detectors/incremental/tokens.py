@@ -1,9 +1,9 @@
-"""SST through the frames of one scene: only windows of tokens that changed and are needed are attended again.
+"""Incremental inference of SST across the frames of one scene.
 
-A layer carries what a token says to the tokens of its window, the next one, whose windows are shifted, to those of the
-windows around. What an attack moves therefore reaches more and more windows, layer by layer, while the proposals
-around the object need fewer and fewer. A layer is computed where both meet; all other tokens are those of earlier
-calls. Gradients are kept by the same rule: for tokens that a point with a gradient reaches.
+Attention mixes the tokens of a window, and the windows of the next layer are shifted. Layer by layer a moved point
+therefore changes more windows, while the proposals around the object need fewer windows. Each layer recomputes the
+windows that changed and are needed; all other tokens come from earlier calls. Gradients follow the same rule: only
+tokens that depend on a point with a gradient carry one.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ Plain = Callable[[Tensor, BevWindow], Proposals]
 
 @dataclass(frozen=True)
 class _Flow:
-    """What goes from layer to layer.
+    """State passed from layer to layer.
 
-    new: the cells whose tokens are not what the next layer was computed with. with_grad: (n,) cells, ascending, of the
-    tokens that carry a gradient; features: (n, width) theirs.
+    new: cells whose tokens changed since the next layer last read them. with_grad: (n,) cells, ascending, of the tokens
+    with a gradient; features: (n, width) of these tokens.
     """
 
     new: ActiveSites
@@ -45,14 +45,14 @@ class _Flow:
 
 
 class _Lattice:
-    """The windows of one shift that lie on a part of the grid."""
+    """Attention windows of one shift on a part of the grid."""
 
     def __init__(self, part: BevWindow, size: int, shift: int) -> None:
         self._lines = _owners(part.y0, part.num_y, size, shift)
         self._columns = _owners(part.x0, part.num_x, size, shift)
 
     def whole(self, cells: ActiveSites) -> ActiveSites:
-        """All cells of the windows that hold one of these."""
+        """Return all cells of the windows that contain one of the given cells."""
         held = cells[1:-1, 1:-1]
         for axis, owner in enumerate((self._lines, self._columns)):
             held = np.logical_or.reduceat(held, np.flatnonzero(np.diff(owner, prepend=-1)), axis)
@@ -62,7 +62,7 @@ class _Lattice:
 
 
 def _owners(first: int, count: int, size: int, shift: int) -> SiteIndices:
-    """(count,) which window along an axis each cell lies in, from 0 on."""
+    """Compute the window index (count,) of each cell along an axis, starting at 0."""
     owner = (first + np.arange(count) + shift) // size
     return np.asarray(owner - owner[0], dtype=np.int64)
 
@@ -71,18 +71,18 @@ class IncrementalTokens:
     """Incremental inference of SST. Not for use from several threads at once."""
 
     def __init__(self, net: SstNet, window: BevWindow, exact: torch.dtype, plain: Plain, answer: Plain) -> None:
-        """net: for inference; exact: its dtype of what must be exact.
+        """Set up the cache of a window.
 
-        plain: the detector's own proposals, for windows beyond the cached one. answer: (features of the core, its
-        window) -> proposals.
+        net: for inference. exact: dtype of points and tokens. plain: proposals without cache, for windows beyond the
+        cached one. answer: (features of the core, its window) -> proposals.
         """
         self._net, self._window, self._exact, self._plain, self._answer = net, window, exact, plain, answer
         self._points = PointSites(net.grid, window, exact)
         transformer = net.spec.transformer
         self._lattices = [_Lattice(window, transformer.window, shift) for shift in transformer.shifts]
-        # Of the encoder and of every layer: the cells that changed since they were computed, at first all.
+        # For the encoder and every layer: cells that changed since they were last computed; initially all cells.
         self._stale = [whole_set(self._points.shape) for _ in range(len(self._lattices) + 1)]
-        # Tokens of the encoder and of every layer. A cell that has ever held a point keeps its row.
+        # Tokens of the encoder and of every layer. A cell keeps its row once it has held a point.
         self._row_of_cell: SiteIndices = np.full(self._points.shape.rows, -1, dtype=np.int64)
         self._tables = [torch.zeros(0, transformer.width, dtype=exact) for _ in self._stale]
         self._rows_taken = 0
@@ -90,10 +90,9 @@ class IncrementalTokens:
     def proposals(
         self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
     ) -> Proposals:
-        """See `IncrementalInference`. A window that reaches beyond the cached one is computed as a whole.
+        """See `IncrementalInference`. A window that extends beyond the cached one is computed without the cache.
 
-        Deterministic to the bit for the same calls in the same order; the same points after other calls may
-        differ by rounding.
+        Deterministic bit for bit for the same sequence of calls; other earlier calls may change the rounding.
         """
         window = window or self._window
         if points.ndim != 2 or points.shape[1] != 3 or not contains(self._window, window):
@@ -116,7 +115,7 @@ class IncrementalTokens:
         return copied_but_for(self, self._net, self._plain, self._answer)
 
     def _needed(self, window: BevWindow) -> list[ActiveSites]:
-        """The cells of the encoder and of every layer that the window's core depends on."""
+        """Return the cells that the window's core depends on: of the encoder, then of every layer."""
         columns, lines = (
             [*self._net.transformer.needed_spans(low, high), (low, high)] for low, high in self._net.core_spans(window)
         )
@@ -129,24 +128,23 @@ class IncrementalTokens:
         return result
 
     def _take_rows(self, cells: SiteIndices) -> None:
-        """Give these cells a row in every table, where they have none."""
+        """Assign a row of the tables to each of these cells that has none."""
         new = cells[self._row_of_cell[cells] < 0]
         self._row_of_cell[new] = self._rows_taken + np.arange(len(new))
         self._rows_taken += len(new)
         if self._rows_taken > len(self._tables[0]):
-            more = self._rows_taken * 5 // 4 - len(self._tables[0])  # shadows that move uncover cells at every call
+            more = self._rows_taken * 5 // 4 - len(self._tables[0])  # moving shadows uncover cells at every call
             self._tables = [torch.cat((table, table.new_zeros(more, table.shape[1]))) for table in self._tables]
 
     def _rows(self, cells: SiteIndices) -> Tensor:
         return torch.from_numpy(self._row_of_cell[cells])
 
     def _tokens(self, cells: SiteIndices) -> Tokens:
-        """Cells of the cached window as tokens of the grid."""
         line, column = np.divmod(cells, self._points.shape.width + 2)
         return Tokens(np.zeros_like(cells), column + self._window.x0 - 1, line + self._window.y0 - 1)
 
     def _read(self, level: int, cells: SiteIndices, flow: _Flow) -> Tensor:
-        """(n, width) the tokens of these cells (n,), ascending, those with a gradient attached to it."""
+        """Return the tokens (n, width) of cells (n,), ascending; tokens with a gradient stay attached to the graph."""
         features = self._tables[level].index_select(0, self._rows(cells))
         among = np.isin(flow.with_grad, cells, assume_unique=True)
         if not among.any():
@@ -158,7 +156,7 @@ class IncrementalTokens:
         self._tables[level].index_copy_(0, self._rows(cells), features.detach())
 
     def _encode(self, points: Tensor, changed: ActiveSites, with_grad: ActiveSites, needed: ActiveSites) -> _Flow:
-        """Features of the pillars that changed and are needed, with their gradient where it is asked for."""
+        """Encode the pillars that changed and are needed, and with a gradient those in `with_grad`."""
         changed = changed | self._stale[0]
         due, self._stale[0] = changed & needed, changed & ~needed
         with torch.no_grad():
@@ -168,14 +166,14 @@ class IncrementalTokens:
         return _Flow(due, cells, features)
 
     def _pillars(self, points: Tensor, among: ActiveSites) -> tuple[SiteIndices, Tensor]:
-        """The cells among these that hold a point, ascending, and their features."""
+        """Return the cells of `among` that contain a point, ascending, and their features."""
         pillars, features = self._net.pillar_features(points.index_select(0, self._points.rows(among)), self._window)
         return self._points.indices(pillars), features
 
     def _attend(self, index: int, flow: _Flow, needed: ActiveSites, held: ActiveSites) -> _Flow:
-        """A layer, in the windows with a token that is new or has a gradient, where they are needed.
+        """Compute a layer in the needed windows that have a changed token or a token with a gradient.
 
-        What a needed window reads is needed of the layer before: its tokens are all there.
+        All tokens of a needed window are in the tables, because the previous layer needed them too.
         """
         lattice, level = self._lattices[index], index + 1
         with_grad = empty_set(self._points.shape)

@@ -1,1 +1,1 @@
-"""Networks, what they predict against (anchors, centres), box coding, weights."""
+"""Networks, anchor heads and centre heads, box coding, weights."""

@@ -1,7 +1,7 @@
-"""Heads that predict against anchors: class, box code and direction of each.
+"""Anchor heads: class, box code and direction of each anchor.
 
-Boxes are coded relative to anchors as SECOND (Yan et al. 2018, section 3.3) codes them, with direction bins. All boxes
-are (x, y, z, dx, dy, dz, heading) with the geometric centre, metres, radians.
+Box codes are relative to anchors as in SECOND (Yan et al. 2018, section 3.3), with direction bins. All boxes are
+(x, y, z, dx, dy, dz, heading) with the geometric centre, metres, radians.
 """
 
 from __future__ import annotations
@@ -18,13 +18,12 @@ from shift3d.detectors.grid import Grid, core_cells
 from shift3d.detectors.models.network import BoxHeads
 
 DIRECTION_OFFSET_RAD = pi / 4
-"""Bin 0 is heading in [pi/4, 5 pi/4). Put there so that no bin ends at an anchor's heading. Source: SECOND's
-public config."""
+"""Bin 0 is heading in [pi/4, 5 pi/4), so that no bin ends at an anchor's heading. Source: SECOND's public config."""
 MAX_LOG_RATIO = 5.0
 
 
 def encode_boxes(boxes: Tensor, anchors: Tensor) -> Tensor:
-    """(A, 7) boxes against (A, 7) anchors -> (A, 7) codes; the heading's code is the plain difference."""
+    """Encode boxes (A, 7) relative to anchors (A, 7) as codes (A, 7); the code of the heading is the difference."""
     diagonal = torch.hypot(anchors[:, 3], anchors[:, 4])
     offset_xy = (boxes[:, :2] - anchors[:, :2]) / diagonal.unsqueeze(1)
     offset_z = (boxes[:, 2:3] - anchors[:, 2:3]) / anchors[:, 5:6]
@@ -33,7 +32,7 @@ def encode_boxes(boxes: Tensor, anchors: Tensor) -> Tensor:
 
 
 def direction_bins(heading_rad: Tensor) -> Tensor:
-    """Which half turn a heading lies in: 0 for [pi/4, 5 pi/4) modulo a turn, else 1. int64, any shape."""
+    """Return the direction bin of headings: 0 for [pi/4, 5 pi/4) modulo 2 pi, else 1. int64, any shape."""
     turned = torch.remainder(heading_rad - DIRECTION_OFFSET_RAD, 2 * pi)
     return (turned >= pi).to(torch.int64)
 
@@ -41,10 +40,10 @@ def direction_bins(heading_rad: Tensor) -> Tensor:
 def decode_boxes(
     codes: Tensor, anchors: Tensor, direction_logits: Tensor, offset_rad: float = DIRECTION_OFFSET_RAD
 ) -> Tensor:
-    """Codes (A, 7), anchors (A, 7), direction logits (A, 2) -> boxes (A, 7), heading in [-pi, pi).
+    """Decode codes (A, 7), anchors (A, 7) and direction logits (A, 2) to boxes (A, 7), heading in [-pi, pi).
 
-    The sine loss leaves the heading open by half turns: the direction bin decides it, bin 0 from offset_rad on. Size
-    codes are clipped at +-5, so that no code can give an infinite box.
+    The sine loss leaves the heading ambiguous by half turns; the direction bin resolves it, bin 0 starts at offset_rad.
+    Size codes are clipped at +-5, so that no code can give an infinite box.
     """
     diagonal = torch.hypot(anchors[:, 3], anchors[:, 4])
     centre_xy = codes[:, :2] * diagonal.unsqueeze(1) + anchors[:, :2]
@@ -59,7 +58,7 @@ def decode_boxes(
 
 @dataclass(frozen=True)
 class AnchorSpec:
-    """Size and headings of the anchors, standing on the ground; metres and radians."""
+    """Size and headings of the anchors, which are placed on the ground; metres and radians."""
 
     size_m: tuple[float, float, float] = (4.73, 2.08, 1.77)
     headings_rad: tuple[float, ...] = (0.0, pi / 2)
@@ -69,7 +68,7 @@ WAYMO_ANCHORS = AnchorSpec()
 
 
 def anchor_boxes(spec: AnchorSpec, grid: Grid, window: BevWindow) -> Tensor:
-    """Anchors of the window's core: (A, 7) float32, network frame, A over y, then x, then heading.
+    """Return the anchors of the window's core: (A, 7) float32, network frame, ordered by y, then x, then heading.
 
     Source: public Waymo config of PointPillars (bottom of the anchor at the ground).
     """
@@ -84,7 +83,7 @@ def anchor_boxes(spec: AnchorSpec, grid: Grid, window: BevWindow) -> Tensor:
 
 
 class AnchorConvolutions(BoxHeads):
-    """1x1 convolutions for class, box and direction of every anchor. Anchors of one object compete by their overlap."""
+    """1x1 convolutions for class, box and direction of every anchor. Overlapping anchors compete in suppression."""
 
     direction_offset_rad = DIRECTION_OFFSET_RAD
 
@@ -97,7 +96,7 @@ class AnchorConvolutions(BoxHeads):
 
     @abstractmethod
     def anchor_rows(self, grid: Grid, window: BevWindow) -> Tensor:
-        """Anchors (A, 7) of the window's core, over y, then x, then the anchors of a cell."""
+        """Return the anchors (A, 7) of the window's core, ordered by y, then x, then anchor of the cell."""
 
     @property
     def box_layers(self) -> tuple[nn.Conv2d, ...]:
@@ -110,7 +109,7 @@ class AnchorConvolutions(BoxHeads):
 
 
 class AnchorHeads(AnchorConvolutions):
-    """Two anchors a cell, one size. The anchors' size is part of the weights."""
+    """Heads with two anchors of one size per cell. The anchor size is part of the weights."""
 
     anchor_size_m: Tensor
 
@@ -118,7 +117,7 @@ class AnchorHeads(AnchorConvolutions):
         super().__init__(channels, len(spec.headings_rad))
         self.headings_rad = spec.headings_rad
         self.register_buffer("anchor_size_m", torch.tensor(spec.size_m))
-        # An empty scene starts at a score of 0.01: Source: focal loss (Lin et al. 2017), section 4.1.
+        # Initial score 0.01 in an empty scene. Source: focal loss (Lin et al. 2017), section 4.1.
         nn.init.constant_(self.classes.bias, -4.595)  # type: ignore[arg-type]
         nn.init.normal_(self.boxes.weight, std=0.001)
 

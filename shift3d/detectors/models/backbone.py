@@ -1,4 +1,4 @@
-"""The two-dimensional convolutional part of PointPillars and CenterPoint (Waymo configuration)."""
+"""2D convolutional backbone of PointPillars and CenterPoint (Waymo configuration)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class BackboneSpec:
-    """Blocks of 3x3 convolutions: one strided, then `layers`; each brought to one map, coarser by `out_stride`."""
+    """Sizes of the blocks: a strided 3x3 convolution, `layers` more, then resampling to the stride `out_stride`."""
 
     in_channels: int = 64
     strides: tuple[int, ...] = (1, 2, 2)
@@ -30,19 +30,19 @@ class BackboneSpec:
 
     @property
     def coarsest_stride(self) -> int:
-        """Of the coarsest map, a block's or the output: what windows are aligned to."""
+        """Stride of the coarsest map (of a block or the output); windows are aligned to it."""
         return max(self.total_strides[-1], self.out_stride)
 
     @property
     def margin_cells(self) -> int:
-        """How far, in input cells, an output cell's receptive field reaches to either side (the larger one).
+        """Radius of an output cell's receptive field in input cells (the larger side).
 
-        Followed back layer by layer for every phase of an output cell against the deepest block's stride.
+        Computed backwards layer by layer, for every phase of an output cell relative to the deepest block's stride.
         """
         reach = 0
         for block in range(len(self.strides)):
             deepest = self.total_strides[block]
-            low = high = 0  # the interval of cells needed, for output cell 0 of this block
+            low = high = 0  # interval of cells that output cell 0 of this block needs
             for index in range(block, -1, -1):
                 low, high = low - self.layers[index], high + self.layers[index]
                 low, high = low * self.strides[index] - 1, high * self.strides[index] + 1
@@ -76,7 +76,7 @@ def _upsampling(in_channels: int, channels: int, stride: int, out_stride: int) -
 
 
 class Backbone(nn.Module):
-    """Dense pillar map (B, 64, H, W) -> features (B, 384, h, w) of the core, one per `out_stride` input cells."""
+    """Network from a dense pillar map (B, 64, H, W) to features (B, 384, h, w) of the core at stride `out_stride`."""
 
     def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE) -> None:
         super().__init__()
@@ -91,10 +91,10 @@ class Backbone(nn.Module):
         )
 
     def forward(self, canvas: Tensor, core: tuple[int, int, int, int] | None = None) -> Tensor:
-        """canvas: (B, C, H, W), H along y. core: (y0, x0, height, width), cells, aligned to the stride.
+        """Compute the features of the core. Differentiable w.r.t. canvas.
 
-        In evaluation mode every layer is computed only where the core depends on it: 0.6 of the operations for the
-        window of a loss, 0.7 for that of a score. Differentiable w.r.t. canvas.
+        canvas: (B, C, H, W), H along y. core: (y0, x0, height, width), cells, aligned to the stride. In evaluation mode
+        a layer computes only cells that the core depends on: 0.6 of the operations for a loss window, 0.7 for a score.
         """
         y0, x0, height, width = core or (0, 0, canvas.shape[2], canvas.shape[3])
         lines = self._input_spans(canvas.shape[2], y0, height)
@@ -114,13 +114,13 @@ class Backbone(nn.Module):
         return torch.cat(outputs, dim=1)
 
     def _input_spans(self, cells: int, low: int, size: int) -> list[tuple[int, int]]:
-        """Of every 3x3 convolution: the stretch [low, high) of its input's axis that it is given.
+        """Return for each 3x3 convolution the interval [low, high) of its input axis to compute on.
 
-        cells: length of the canvas's axis. A stretch that is cut begins one output before the first that is needed,
-        so that the zeros beyond the cut reach none that is.
+        cells: length of the axis of the canvas. A cut interval starts one output before the first needed output, so
+        that the zero padding at the cut affects no needed output.
         """
         strides = [step for first, count in zip(self.spec.strides, self.spec.layers) for step in (first, *[1] * count)]
-        if self.training:  # batch norm takes its statistics over the whole canvas
+        if self.training:  # batch norm needs statistics of the whole canvas
             low, size = 0, cells
         sizes = [cells]
         for step in strides[:-1]:
@@ -138,6 +138,6 @@ class Backbone(nn.Module):
 
 
 def _cut(features: Tensor, origin: tuple[int, int], lines: tuple[int, int], columns: tuple[int, int]) -> Tensor:
-    """The given lines and columns of a map whose first ones are `origin`."""
+    """Cut the given rows and columns out of a map whose first row and column are `origin`."""
     y, x = origin
     return features[:, :, lines[0] - y : lines[1] - y, columns[0] - x : columns[1] - x]

@@ -1,4 +1,4 @@
-"""Batch norms moved into the layer before them: the same function, with less to compute."""
+"""Folding of batch norms into the preceding layer: the same function with fewer operations."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def _scale_and_shift(norm: nn.Module) -> tuple[Tensor, Tensor]:
 
 
 def folded_linear(layer: nn.Linear, norm: nn.Module, input_gains: Tensor | None = None) -> nn.Linear:
-    """A linear layer without bias, its norm in evaluation mode and the gains (in_features,) of its inputs, as one.
+    """Fold a linear layer without bias, the norm after it in evaluation mode and input gains (in_features,) into one.
 
-    Folded in float64; parameters in the layer's own dtype.
+    Folded in float64; the result has the dtype of the layer.
     """
     scale, shift = _scale_and_shift(norm)
     folded = nn.Linear(layer.in_features, layer.out_features)
@@ -44,7 +44,7 @@ def _folded_convolution(layer: nn.Module, norm: nn.Module) -> nn.Module:
 
 
 def folded_sequence(sequence: nn.Sequential) -> nn.Sequential:
-    """Convolutions and the norms after them, in evaluation mode, as one. Folded in float64."""
+    """Fold each norm, in evaluation mode, into the convolution before it. Folded in float64."""
     modules: list[nn.Module] = []
     for module in sequence:
         if isinstance(module, nn.BatchNorm2d):

@@ -1,7 +1,4 @@
-"""PointPillars and CenterPoint: one encoder and backbone, under heads with anchors and without.
-
-For training and, folded, for inference.
-"""
+"""PointPillars and CenterPoint, for training and, folded, for inference: same encoder and backbone, different heads."""
 
 from __future__ import annotations
 
@@ -22,29 +19,29 @@ from shift3d.detectors.models.folding import folded_sequence
 from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
 from shift3d.detectors.models.pillar_net import PillarNet, decorate
 
-# Memory layout of the backbone at inference, contiguous elsewhere. The gradient of a core comes back in contiguous
-# slices; in float32 with channels last that made the backward pass slower by 1.4 to 1.5 (415 to 460 ms against 296 to
-# 305 on one core, the weights frozen), the forward pass the same within noise. The bfloat16 kernels want it.
+# Memory layout of the backbone at inference per dtype; default contiguous. The gradient of a core arrives in contiguous
+# slices: in float32, channels last made the backward pass 1.4 to 1.5 times slower (415 to 460 ms against 296 to 305 on
+# one CPU core, weights frozen), the forward pass equal within noise. The bfloat16 kernels need channels last.
 _LAYOUT = {torch.bfloat16: torch.channels_last}
 
 
 class PillarEncoder(Protocol):
-    """Points of pillars, as `PillarBackboneNet.decorated` gives them -> one feature a pillar."""
+    """Encoder from decorated points (see `PillarBackboneNet.decorated`) to one feature per pillar."""
 
     def __call__(self, decorated: Tensor, pillars: Pillars) -> Tensor:
-        """(K, inputs) -> (P, channels). Differentiable w.r.t. decorated."""
+        """Encode (K, inputs) to (P, channels). Differentiable w.r.t. decorated."""
         ...
 
     def folded(self) -> Self:
-        """The same function in evaluation mode, norms folded."""
+        """Return the same function in evaluation mode with folded norms."""
         ...
 
 
 class PillarBackboneNet(DetectorNet):
-    """Points -> pillars -> one feature a cell of the window's core; a subclass adds the heads.
+    """Network from points to pillars to one feature per cell of the window's core; a subclass adds the heads.
 
-    Source: PointPillars (Lang et al. 2019) in the Waymo configuration that SHIFT3D follows; dynamic
-    voxelisation instead of at most 20 points a pillar (our choice: see shift3d.detectors.grid).
+    Source: PointPillars (Lang et al. 2019) in the Waymo configuration that SHIFT3D follows; dynamic voxelisation
+    instead of at most 20 points a pillar (our choice: see shift3d.detectors.grid).
     """
 
     pillar_net: PillarEncoder
@@ -59,12 +56,12 @@ class PillarBackboneNet(DetectorNet):
 
     @property
     def is_cellwise(self) -> bool:
-        """Whether proposals come of single cells of blocks that are upsampled: what incremental inference needs."""
+        """True if every block is upsampled (factor >= 1) to the output map, as incremental inference needs."""
         return self.spec.out_stride <= min(self.spec.total_strides)
 
     @property
     def head_grid(self) -> Grid:
-        """See `DetectorNet`: coarser by the backbone's output stride."""
+        """Grid of the heads: coarser than the pillar grid by the backbone's output stride."""
         grid, step = self.grid, self.spec.out_stride
         return replace(grid, cell_m=grid.cell_m * step, num_x=grid.num_x // step, num_y=grid.num_y // step)
 
@@ -80,7 +77,7 @@ class PillarBackboneNet(DetectorNet):
     def canvas(
         self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
     ) -> Tensor:
-        """Pillar features on the dense grid: (B, C, H, W), channels last in memory, zero where no point is.
+        """Compute pillar features on the dense grid: (B, C, H, W), channels last in memory, zero in empty pillars.
 
         clouds: (N_b, 3) each, network frame. Differentiable w.r.t. the points.
         """
@@ -95,12 +92,12 @@ class PillarBackboneNet(DetectorNet):
         return dense.view(len(clouds), height, width, self.channels).permute(0, 3, 1, 2)
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
-        """Aligned to the backbone's coarsest stride, inside the grid."""
+        """Return the interval aligned to the backbone's coarsest stride, inside the grid."""
         stride = self.spec.coarsest_stride
         return max(0, low) // stride * stride, min(cells, -(-min(cells, high) // stride) * stride)
 
     def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
-        """The core and the receptive field around it, aligned to the stride."""
+        """Return the core and the receptive field around it, aligned to the stride."""
         stride, margin = self.spec.coarsest_stride, self.spec.margin_cells
         low = max(0, (core_low - margin) // stride * stride)
         return low, min(cells, -(-(core_high + margin) // stride) * stride)
@@ -108,23 +105,20 @@ class PillarBackboneNet(DetectorNet):
     def features(
         self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
     ) -> Tensor:
-        """(B, 384, h, w) of the windows' cores, see `DetectorNet`."""
+        """Compute the features (B, 384, h, w) of the windows' cores, see `DetectorNet`."""
         return self.core_features(self.canvas(clouds, windows, pillars), core_in_window(windows[0]))
 
     def core_features(self, canvas: Tensor, core: tuple[int, int, int, int]) -> Tensor:
-        """Of a canvas, another core (y0, x0, height, width) in the windows' own cells, aligned to the stride."""
+        """Compute features of a core (y0, x0, height, width) of a canvas, in canvas cells, aligned to the stride."""
         weight: Tensor = self.backbone.blocks[0][0].weight  # type: ignore[index]
         canvas = canvas.to(weight.dtype)
         if not weight.is_contiguous(memory_format=torch.channels_last):
-            canvas = canvas.contiguous()  # else every convolution would take the canvas's layout, not its weights'
+            canvas = canvas.contiguous()  # else every convolution uses the layout of the canvas, not of its weights
         result: Tensor = self.backbone(canvas, core)
         return result
 
     def inference(self, precision: Precision) -> Self:
-        """A copy in evaluation mode, batch norms and input gains folded in float64.
-
-        The pillar network always runs in float32 or better.
-        """
+        """Return a copy for inference, norms and gains folded in float64; its pillar network is float32 or float64."""
         exact, dense = arithmetic(precision)
         folded = copy.deepcopy(self)
         folded.pillar_net = folded.pillar_net.folded()
@@ -139,20 +133,17 @@ class PillarBackboneNet(DetectorNet):
 
 
 def core_in_window(window: BevWindow) -> tuple[int, int, int, int]:
-    """(y0, x0, height, width) of the core in the window's own cells."""
+    """Return (y0, x0, height, width) of the core in cells of the window."""
     return (window.core_y0 - window.y0, window.core_x0 - window.x0, window.core_num_y, window.core_num_x)
 
 
 def to_dense(part: nn.Module, dense: torch.dtype) -> None:
-    """A part of the network in the dtype of the large products, in the memory layout that is fast there."""
+    """Convert a part of the network in place to the dtype of the large products and its fast memory layout."""
     part.to(dense).to(memory_format=_LAYOUT.get(dense, torch.contiguous_format))  # type: ignore[call-overload]
 
 
 class PointPillarsNet(PillarBackboneNet):
-    """Points -> logits, codes, direction logits of every anchor in the window's core.
-
-    Source: PointPillars (Lang et al. 2019), see `PillarBackboneNet`.
-    """
+    """PointPillars: logits, box codes and direction logits of the core's anchors. Source: see `PillarBackboneNet`."""
 
     name = "pointpillars"
 
@@ -162,11 +153,10 @@ class PointPillarsNet(PillarBackboneNet):
 
 
 class CenterPointNet(PillarBackboneNet):
-    """Points -> heat map and box of every cell of the window's core.
+    """CenterPoint: heat map and box of every cell of the window's core.
 
-    Source: CenterPoint (Yin et al. 2021), first stage, on pillars. Our choice: the heads are 1x1 convolutions as
-    PointPillars has them (published: a shared 3x3 and one more a head), so that windows and incremental inference cost
-    the same.
+    Source: CenterPoint (Yin et al. 2021), first stage, on pillars. Our choice: 1x1 convolutions as heads, as in
+    PointPillars (published: a shared 3x3 and one per head), so that windows and incremental inference cost the same.
     """
 
     name = "centerpoint"

@@ -1,8 +1,7 @@
-"""PointNets of a pillar: its points -> one feature. PointPillars has one layer, SST two, both without reflectance, as
-SHIFT3D feeds xyz alone.
+"""Pillar encoders (PointNets) from the points of a pillar to one feature: one layer in PointPillars, two in SST.
 
-Source: PointPillars (Lang et al. 2019), section 2.1; the dynamic voxel feature encoder of SST's public configuration
-(channels 64 and 128).
+Both work without reflectance, because SHIFT3D feeds only xyz. Source: PointPillars (Lang et al. 2019), section 2.1; the
+dynamic voxel feature encoder of SST's public configuration (channels 64 and 128).
 """
 
 from __future__ import annotations
@@ -18,28 +17,29 @@ from shift3d.detectors.models.folding import folded_linear
 
 DECORATED_CHANNELS = 8
 FEATURE_SCALE = (0.03, 0.03, 1.0, 6.0, 6.0, 3.0, 6.0, 6.0)
-"""Constant gains that bring the eight inputs to like magnitude (our choice: the published net feeds metres).
-They only precondition training: a linear layer follows, into which they are folded for inference."""
+"""Constant gains that scale the eight inputs to similar magnitude (our choice: the published net feeds metres).
+They only precondition training: for inference they are folded into the linear layer that follows."""
 
 
 def segment_mean(values: Tensor, pillars: Pillars) -> Tensor:
-    """Mean of each pillar's rows: (K, C) -> (P, C), summed in sorted order. Differentiable w.r.t. values."""
+    """Compute the mean of each pillar's rows: (K, C) -> (P, C), summed in row order. Differentiable w.r.t. values."""
     total = torch.segment_reduce(values, "sum", lengths=pillars.counts, axis=0, unsafe=True)
     return total / pillars.counts.to(values.dtype).unsqueeze(1)
 
 
 def segment_max(rows: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
-    """(P, C) maximum over each pillar's rows (K, C). Differentiable once w.r.t. rows; those that tie share alike.
+    """Compute the maximum (P, C) over each pillar's rows (K, C). Differentiable once w.r.t. rows.
 
-    owner: (K,) int64, rising, the pillar of each row; counts: (P,) int64, rows of each.
+    Tied rows get equal shares of the gradient. owner: (K,) int64, ascending, pillar of each row; counts: (P,) int64,
+    number of rows per pillar.
     """
     result: Tensor = _SegmentMax.apply(rows, owner, counts)  # type: ignore[no-untyped-call]
     return result
 
 
 class _SegmentMax(torch.autograd.Function):
-    """torch.segment_reduce shares a gradient between ties only where it is positive (2.13: a negative one is given to
-    each in full). Ties are no rarity: what stands before both returns of a beam moves them to one place."""
+    """Segment maximum that splits each gradient between tied rows; torch.segment_reduce (2.13) gives the whole of a
+    negative gradient to each tied row. Ties are common: an occluder moves both returns of a beam to one place."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
@@ -57,10 +57,9 @@ class _SegmentMax(torch.autograd.Function):
 
 
 def decorate(points: Tensor, pillars: Pillars, grid: Grid) -> Tensor:
-    """(x, y, z), offset to the pillar's mean point, offset (x, y) to the pillar's centre: (K, 8).
+    """Compute (x, y, z), offset from the pillar's mean point, offset (x, y) from the pillar's centre: (K, 8).
 
-    points: (N, 3), network frame, metres. Differentiable w.r.t. points.
-    Source: PointPillars 2.1 (without reflectance).
+    points: (N, 3), network frame, metres. Differentiable w.r.t. points. Source: PointPillars 2.1 (without reflectance).
     """
     xyz = points.index_select(0, pillars.order)
     mean = segment_mean(xyz, pillars)
@@ -73,7 +72,7 @@ def decorate(points: Tensor, pillars: Pillars, grid: Grid) -> Tensor:
 
 
 class PillarNet(nn.Module):
-    """Linear, batch norm, maximum over the pillar, ReLU (which commutes with the maximum)."""
+    """Pillar encoder of PointPillars: linear, batch norm, maximum over the pillar, ReLU (commutes with the maximum)."""
 
     feature_scale: Tensor
 
@@ -84,15 +83,12 @@ class PillarNet(nn.Module):
         self.register_buffer("feature_scale", torch.tensor(FEATURE_SCALE), persistent=False)
 
     def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
-        """(K, 8) decorated points, metres -> (P, 64) pillar features. Differentiable w.r.t. decorated.
-
-        Of points that tie for a maximum, each gets an equal share of the gradient.
-        """
+        """Encode decorated points (K, 8), metres, to (P, 64). Differentiable; ties share gradients equally."""
         per_point = self.norm(self.linear(decorated * self.feature_scale))
         return torch.relu(segment_max(per_point, pillars.pillar, pillars.counts))
 
     def folded(self) -> Self:
-        """The same function in evaluation mode, norm and input gains folded into the layer, in place."""
+        """Fold norm and input gains into the layer, in place: the same function in evaluation mode. Return self."""
         self.linear = folded_linear(self.linear, self.norm, self.feature_scale)
         self.norm = nn.Identity()
         self.feature_scale = torch.ones_like(self.feature_scale)
@@ -104,9 +100,9 @@ VOXEL_FEATURE_SCALE = (*FEATURE_SCALE, 0.5)
 
 
 def decorate_with_height(points: Tensor, pillars: Pillars, grid: Grid) -> Tensor:
-    """The eight values of PointPillars and the height above the pillar's middle, metres: (K, 9).
+    """Compute the eight values of `decorate` and the height above the pillar's middle, metres: (K, 9).
 
-    points: (N, 3), network frame. Differentiable w.r.t. points. Source: SST's public code (offset to the voxel's
+    points: (N, 3), network frame. Differentiable w.r.t. points. Source: SST's public code (offset from the voxel's
     centre in all three axes).
     """
     decorated = decorate(points, pillars, grid)
@@ -115,7 +111,7 @@ def decorate_with_height(points: Tensor, pillars: Pillars, grid: Grid) -> Tensor
 
 
 class VoxelEncoder(nn.Module):
-    """Linear, batch norm, ReLU on each point; each point joined with its pillar's maximum; once more; maximum."""
+    """Pillar encoder of SST: linear, norm, ReLU; concatenation with pillar maximum; linear, norm, maximum, ReLU."""
 
     def __init__(self, hidden: int = 64, channels: int = 128) -> None:
         super().__init__()
@@ -126,10 +122,10 @@ class VoxelEncoder(nn.Module):
         self.register_buffer("feature_scale", torch.tensor(VOXEL_FEATURE_SCALE), persistent=False)
 
     def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
-        """(K, 9) decorated points, metres, sorted by pillar -> (P, channels). Differentiable w.r.t. decorated.
+        """Encode decorated points (K, 9), metres, sorted by pillar, to (P, channels). Differentiable w.r.t. decorated.
 
-        Of points that tie for a maximum, each gets an equal share of the gradient. Points in one and the same
-        place tie up to a rounding that depends on their rows: what they get together is fixed, the shares are not.
+        Points that tie for a maximum get equal shares of the gradient. Points in the same place tie up to a rounding
+        that depends on their rows: the sum of their gradients is fixed, the shares are not.
         """
         scale: Tensor = self.feature_scale  # type: ignore[assignment]
         owner, counts = pillars.pillar, pillars.counts

@@ -1,7 +1,7 @@
-"""SST, the single-stride sparse transformer, as one module for training and inference.
+"""SST, the single-stride sparse transformer, for training and inference.
 
-Source: Embracing Single Stride 3D Object Detector with Sparse Transformer (Fan et al. 2022), in its public
-Waymo configuration with one frame and xyz alone.
+Source: Embracing Single Stride 3D Object Detector with Sparse Transformer (Fan et al. 2022), in its public Waymo
+configuration with one frame and only xyz.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from shift3d.detectors.models.window_transformer import SST_TRANSFORMER, Transfo
 
 @dataclass(frozen=True)
 class SstSpec:
-    """Sizes of SST. dilations: of the 3x3 convolutions on the dense map; out_channels: what the heads read.
+    """Sizes of SST. dilations: of the 3x3 convolutions on the dense map; out_channels: input channels of the heads.
 
-    name: what a network of these sizes is called in settings and tables.
+    name: name of a network of these sizes in settings and tables.
     """
 
     transformer: TransformerSpec = SST_TRANSFORMER
@@ -45,7 +45,7 @@ SST_SMALL_SPEC = SstSpec(
     out_channels=192,
     name="sst_small",
 )
-"""Half the width and blocks: a third of the time of a training step, a sixth of the parameters (our choice)."""
+"""Half the width and blocks of SST: a third of the training step's time, a sixth of the parameters (our choice)."""
 
 
 def _convolution(in_channels: int, channels: int, size: int, dilation: int = 1) -> list[nn.Module]:
@@ -57,10 +57,10 @@ def _convolution(in_channels: int, channels: int, size: int, dilation: int = 1) 
 
 
 class SstNet(DetectorNet):
-    """Points -> logits, codes, direction logits of every anchor in the window's core.
+    """SST: logits, box codes and direction logits of every anchor in the window's core.
 
-    Every pillar is a token and every token attends: nothing is dropped, and nothing is shuffled, so that the
-    result does not depend on the order of the points (the public code shuffles, and drops in training).
+    Every pillar is a token. No token is dropped or shuffled, so that the result does not depend on the order of the
+    points (the public code shuffles, and drops tokens in training).
     """
 
     def __init__(self, spec: SstSpec = SST_SPEC, anchors: AnchorSpec = WAYMO_ANCHORS) -> None:
@@ -77,11 +77,11 @@ class SstNet(DetectorNet):
         self.heads = AnchorHeads(spec.out_channels, anchors)
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
-        """[low, high) itself: any cell can be asked for alone."""
+        """Return [low, high) cut at the grid: any single cell can be a core."""
         return max(0, low), min(cells, high)
 
     def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
-        """Cells of the axis on which the core depends: convolutions, then windows layer by layer."""
+        """Return the interval that the core depends on, through the convolutions and each layer's attention windows."""
         low, high = self._dense_span(core_low, core_high, cells)
         low, high = self.transformer.needed_spans(low, high)[0]
         return max(0, low), min(cells, high)
@@ -93,15 +93,15 @@ class SstNet(DetectorNet):
     def features(
         self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
     ) -> Tensor:
-        """(B, out_channels, h, w) of the windows' cores, see `DetectorNet`.
+        """Compute the features (B, out_channels, h, w) of the windows' cores, see `DetectorNet`.
 
-        Cores that are only a part of their windows have the same place in a batch.
+        In a batch, cores smaller than their windows must have the same position in the window.
         """
         pillars, encoded = self.batch_features(clouds, windows, pillars)
         batch = np.repeat(np.arange(len(pillars)), [found.counts.numel() for found in pillars])
         cells = (torch.cat([getattr(found, axis) for found in pillars]).cpu().numpy() for axis in ("cell_x", "cell_y"))
         tokens = Tokens(batch, *cells)
-        # Tokens are let go by place on the grid, which differs within a batch: only a single scene is cut.
+        # Tokens are dropped by their position on the grid, which differs in a batch: only a single scene is cut.
         span_x, span_y = (
             self.core_spans(windows[0]) if len(windows) == 1 else ((0, self.grid.num_x), (0, self.grid.num_y))
         )
@@ -109,7 +109,7 @@ class SstNet(DetectorNet):
         return self.core_features(attended, tokens, windows)
 
     def core_features(self, attended: Tensor, tokens: Tokens, windows: Sequence[BevWindow]) -> Tensor:
-        """`features` from what the transformer made of the tokens in the windows' `core_spans`, (P, width)."""
+        """Compute `features` from the transformer's outputs (P, width) for the tokens in the windows' `core_spans`."""
         spans = [self.core_spans(window) for window in windows]
         canvas = self._canvas(attended, tokens, spans)
         weight: Tensor = self.dense[0].weight  # type: ignore[assignment]
@@ -121,7 +121,7 @@ class SstNet(DetectorNet):
         return result
 
     def core_spans(self, window: BevWindow) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Cells (x, y) of the dense map: the core and what the convolutions read around it, in the window."""
+        """Return the cells (x, y) of the dense map: the core and the cells around it that the convolutions read."""
         x_low, x_high = self._dense_span(window.core_x0, window.core_x0 + window.core_num_x, self.grid.num_x)
         y_low, y_high = self._dense_span(window.core_y0, window.core_y0 + window.core_num_y, self.grid.num_y)
         return (
@@ -137,7 +137,7 @@ class SstNet(DetectorNet):
         return features
 
     def _canvas(self, features: Tensor, tokens: Tokens, spans: list[tuple[tuple[int, int], tuple[int, int]]]) -> Tensor:
-        """Features on the dense map, (B, C, h, w), channels last in memory, zero where no token is."""
+        """Scatter features to the dense map (B, C, h, w), channels last in memory, zero in cells without a token."""
         x_low, y_low = (np.asarray([span[axis][0] for span in spans]) for axis in (0, 1))
         width, height = (spans[0][axis][1] - spans[0][axis][0] for axis in (0, 1))
         column, line = tokens.cell_x - x_low[tokens.batch], tokens.cell_y - y_low[tokens.batch]
@@ -150,10 +150,9 @@ class SstNet(DetectorNet):
         return dense.view(len(spans), height, width, -1).permute(0, 3, 1, 2)
 
     def inference(self, precision: Precision) -> SstNet:
-        """A copy in evaluation mode, batch norms folded in float64, layers in their arithmetic.
+        """Return a copy in evaluation mode, batch norms folded in float64, layers in the dtypes of the precision.
 
-        The encoder, the sums and the norms of the transformer stay in float32 for bfloat16: only products are
-        taken in half the bytes.
+        With bfloat16, encoder and the transformer's sums and norms stay in float32: only products use half the bytes.
         """
         exact, dense = arithmetic(precision)
         folded = copy.deepcopy(self)

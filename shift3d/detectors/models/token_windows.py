@@ -1,9 +1,8 @@
-"""Tokens of a sparse bird's-eye map grouped by square windows, for attention within each window.
+"""Grouping of the tokens of a sparse bird's-eye map by square windows, for attention within each window.
 
-Windows lie on the full grid's own lattice, so that a token's window does not depend on what part of the scene
-is looked at, nor on the order of the points. Windows with few tokens are padded to a short length, those with
-many to a long one; the longest is the window's area: nothing is ever dropped.
-Source: SST (Fan et al. 2022), section 3.3 (regional grouping and region shift).
+The window lattice is fixed to the full grid, so that a token's window depends neither on the computed part of the scene
+nor on the order of the points. Windows are padded to one of a few lengths; the longest length is the window's area, so
+that no token is dropped. Source: SST (Fan et al. 2022), section 3.3 (regional grouping and region shift).
 """
 
 from __future__ import annotations
@@ -20,23 +19,22 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Tokens:
-    """Where each of P tokens lies: batch, cell_x, cell_y, (P,) int64 each; cells of the full grid."""
+    """Positions of P tokens: batch, cell_x, cell_y, (P,) int64 each; cells of the full grid."""
 
     batch: Ints
     cell_x: Ints
     cell_y: Ints
 
     def take(self, rows: npt.NDArray[np.bool_]) -> Tokens:
-        """The tokens of a mask (P,), in their order."""
+        """Return the tokens of a mask (P,), in their order."""
         return Tokens(self.batch[rows], self.cell_x[rows], self.cell_y[rows])
 
 
 @dataclass(frozen=True)
 class Bucket:
-    """Windows padded to one length: windows * length slots, behind those of the bucket before.
+    """Windows padded to one length: windows * length slots, after the slots of the previous bucket.
 
-    padding: (windows, 1, 1, length) bool, True where a key is a token and False where it is padding, or None
-    when every slot holds a token.
+    padding: (windows, 1, 1, length) bool, True for tokens and False for padding; None if every slot holds a token.
     """
 
     windows: int
@@ -46,10 +44,10 @@ class Bucket:
 
 @dataclass(frozen=True)
 class WindowGroups:
-    """Slots of all buckets, one after the other, and the two maps between slots and tokens.
+    """Buckets of windows, and the maps between their slots and tokens.
 
-    slot_token: (S,) int64, the token in each slot, P (one past the last) in padding.
-    token_slot: (P,) int64, its inverse. place: (P,) int64, y * window + x of a token within its window.
+    slot_token: (S,) int64, token in each slot, P (one past the last) for padding. token_slot: (P,) int64, slot of each
+    token. place: (P,) int64, y * window + x of a token within its window.
     """
 
     buckets: tuple[Bucket, ...]
@@ -65,14 +63,14 @@ class WindowGroups:
 
 
 def group_by_window(tokens: Tokens, window: int, shift: int, lengths: tuple[int, ...]) -> WindowGroups:
-    """Group tokens by windows of window x window cells, the lattice shifted back by `shift` cells.
+    """Group tokens by windows of window x window cells, with the lattice shifted back by `shift` cells.
 
-    lengths: padded lengths, rising; the window's area is added at the end if they stop short of it. Windows
-    come in the order of (length, batch, y, x), tokens within one in the order of their place.
+    lengths: padded lengths, ascending; the window's area is appended if all are smaller. Windows are ordered by
+    (length, batch, y, x), tokens within a window by their place.
     """
     column, line = tokens.cell_x + shift, tokens.cell_y + shift
     place = line % window * window + column % window
-    # Any number that is the same for equal windows and rises with (batch, y, x) will do; cells are below 2**15.
+    # Window key that increases with (batch, y, x); cells are below 2**15.
     owner = ((tokens.batch << 32) | (line // window << 16)) | column // window
     order = np.lexsort((place, owner))
     starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
@@ -101,12 +99,12 @@ def group_by_window(tokens: Tokens, window: int, shift: int, lengths: tuple[int,
 
 
 def aligned_span(low: int, high: int, window: int, shift: int) -> tuple[int, int]:
-    """The whole windows that cover cells [low, high) along one axis, as [low, high)."""
+    """Extend cells [low, high) along one axis to whole windows."""
     return (low + shift) // window * window - shift, -(-(high + shift) // window) * window - shift
 
 
 class _GatherRows(torch.autograd.Function):
-    """Rows by index, where the backward pass is a gather too, because the index has a known inverse."""
+    """Row gather whose backward pass is a gather too, because the inverse of the index is known."""
 
     @staticmethod
     def forward(ctx, rows: Tensor, index: Tensor, inverse: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
@@ -120,7 +118,7 @@ class _GatherRows(torch.autograd.Function):
 
 
 def _take(rows: Tensor, index: Tensor) -> Tensor:
-    """Rows (N, C) by index (M,) in 0..N, where N stands for a row of zeros."""
+    """Gather rows (N, C) by index (M,) in 0..N; index N gives a row of zeros."""
     if not len(rows):
         return rows.new_zeros(len(index), rows.shape[1])
     taken = rows.index_select(0, index.clamp_max(len(rows) - 1))
@@ -128,10 +126,10 @@ def _take(rows: Tensor, index: Tensor) -> Tensor:
 
 
 def gather_rows(rows: Tensor, index: Tensor, inverse: Tensor) -> Tensor:
-    """rows (N, C) by index (M,), an index of N giving zeros: (M, C). Differentiable w.r.t. rows.
+    """Gather rows (N, C) by index (M,) to (M, C); index N gives zeros. Differentiable w.r.t. rows.
 
-    inverse: (N,) in 0..M, where index points back to, M for a row that is used nowhere. Each row is used at
-    most once: the gradient is then a gather as well, which is faster than adding and the same to the bit.
+    inverse: (N,) in 0..M, position of each row in index, M for an unused row. Each row is used at most once, so that
+    the gradient is a gather too: faster than a scatter-add, and equal bit for bit.
     """
     result: Tensor = _GatherRows.apply(rows, index, inverse)  # type: ignore[no-untyped-call]
     return result

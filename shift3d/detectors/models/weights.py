@@ -1,4 +1,4 @@
-"""Networks by name, and their weight files."""
+"""Registry of networks by name, and loading of weight files."""
 
 from __future__ import annotations
 
@@ -26,15 +26,14 @@ NETWORKS: dict[str, Callable[[], DetectorNet]] = {
 }
 ANCHOR_SIZE = "heads.anchor_size_m"
 LARGEST_WEIGHT = 1e6
-"""Of anything in a file: the largest trained value is a variance of 2,700, the largest weight 11. One flipped bit of an
-exponent makes 1e38 of a weight, finite, and infinite scores."""
+"""Bound on all values of a weight file. The largest trained value is a variance of 2,700, the largest weight 11. One
+flipped exponent bit turns a weight into 1e38, which is finite but gives infinite scores."""
 
 
 def load_network(path: Path, name: str = "pointpillars") -> DetectorNet:
-    """The trainable network with the weights of a safetensors file, in evaluation mode.
+    """Load a network by name with the weights of a safetensors file, trainable, in evaluation mode.
 
-    Raises: InputError if the file is missing, unreadable, or holds tensors that cannot be this network's: see
-        `load_weights`.
+    Raises: InputError if the file is missing, or as `load_weights` does.
     """
     if not path.is_file():
         raise InputError("the weight file does not exist", str(path), f'Train it: make train ARGS="model={name}"')
@@ -42,10 +41,10 @@ def load_network(path: Path, name: str = "pointpillars") -> DetectorNet:
 
 
 def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
-    """A network itself, with the weights of a safetensors file, in evaluation mode.
+    """Load the weights of a safetensors file into a network, in place. Return the network in evaluation mode.
 
-    Raises: InputError naming file and tensor where the file is unreadable, or a tensor is missing, surplus, of another
-        shape or kind of number, not finite, beyond LARGEST_WEIGHT, a variance below zero, or an anchor without a size.
+    Raises: InputError with file and tensor if the file is unreadable, or a tensor is missing, surplus, of another shape
+        or number type, not finite, beyond LARGEST_WEIGHT, a negative variance, or an anchor size that is not positive.
     """
     try:
         state = load_file(path)
@@ -53,7 +52,7 @@ def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
         what = f"not a readable safetensors file: {error}"
         raise InputError(what, where=str(path), remedy="Copy it again") from error
     expected = net.state_dict()
-    if ANCHOR_SIZE in expected:  # a file without it was trained with the published one
+    if ANCHOR_SIZE in expected:  # a file without anchor size was trained with the published size
         state.setdefault(ANCHOR_SIZE, torch.tensor(WAYMO_ANCHORS.size_m))
     for name in sorted(expected.keys() | state.keys()):
         found = tuple(state[name].shape) if name in state else None
@@ -68,7 +67,7 @@ def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
 
 
 def wrong_values(name: str, found: Tensor, expected: Tensor) -> str:
-    """Why a tensor of the right shape cannot be a trained network's, or nothing. NaN fails every comparison."""
+    """Return why a tensor of the right shape cannot be a trained weight, or "". NaN fails every comparison."""
     if found.is_floating_point() != expected.is_floating_point() or found.is_complex():
         return f"is {str(found.dtype).removeprefix('torch.')}, not {str(expected.dtype).removeprefix('torch.')}"
     if not found.is_floating_point() or not found.numel():
@@ -77,5 +76,5 @@ def wrong_values(name: str, found: Tensor, expected: Tensor) -> str:
         return f"holds values that are not finite, or beyond {LARGEST_WEIGHT:g}"
     if name == ANCHOR_SIZE and not float(found.min()) > 0.0:
         return "holds a size that is not positive"
-    # The norm divides by its root; folded into the layer before it, NaN would be in every score.
+    # The norm divides by the root of the variance; after folding, NaN would be in every score.
     return "holds a negative variance" if name.endswith("running_var") and float(found.min()) < 0.0 else ""

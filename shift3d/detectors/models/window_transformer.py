@@ -1,8 +1,8 @@
 """Transformer layers over the tokens of each window.
 
 Source: SST (Fan et al. 2022) in its public Waymo configuration: post-norm encoder layers, 8 heads, width 128,
-feed-forward 256, GELU; windows of 12 x 12 pillars, shifted by 6 in every second layer; sine position codes of
-the place in the window, added to queries and keys.
+feed-forward 256, GELU; windows of 12 x 12 pillars, shifted by 6 in every second layer; sine position codes of the place
+in the window, added to queries and keys.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from shift3d.processor import pad_to_bucket
 
 @dataclass(frozen=True)
 class TransformerSpec:
-    """Sizes of the transformer. blocks: pairs of layers, one on the lattice and one on the shifted lattice.
+    """Sizes of the transformer. blocks: number of layer pairs, one on the lattice and one on the shifted lattice.
 
-    lengths: the padded numbers of tokens a window, beside the window's area.
+    lengths: padded numbers of tokens per window, in addition to the window's area.
     """
 
     width: int = 128
@@ -33,7 +33,7 @@ class TransformerSpec:
 
     @property
     def shifts(self) -> tuple[int, ...]:
-        """Shift of the window lattice, in cells, of each layer."""
+        """Shift of the window lattice per layer, in cells."""
         return (0, self.window // 2) * self.blocks
 
 
@@ -41,7 +41,7 @@ SST_TRANSFORMER = TransformerSpec()
 
 
 def position_codes(window: int, width: int) -> Tensor:
-    """Sine codes of every place in a window: (window * window, width) float32, the first half for x.
+    """Compute sine codes of every place in a window: (window * window, width) float32, the first half for x.
 
     Source: SST's public code: coordinates from the window's middle, temperature 10000.
     """
@@ -54,7 +54,7 @@ def position_codes(window: int, width: int) -> Tensor:
 
 
 def _product(layer: nn.Linear, rows: Tensor) -> Tensor:
-    """The layer in its own precision, the result in that of the rows; in bfloat16 as part of a round batch."""
+    """Apply the layer in its dtype, return the dtype of the rows. In bfloat16 rows are padded by `pad_to_bucket`."""
     if layer.weight.dtype != torch.bfloat16 or rows.dtype == torch.bfloat16:
         result: Tensor = layer(rows.to(layer.weight.dtype)).to(rows.dtype)
         return result
@@ -64,7 +64,7 @@ def _product(layer: nn.Linear, rows: Tensor) -> Tensor:
 
 
 class EncoderLayer(nn.Module):
-    """Attention within each window, then a feed-forward network; a norm after each (post-norm)."""
+    """Encoder layer: attention within each window, then a feed-forward network; a norm after each (post-norm)."""
 
     def __init__(self, spec: TransformerSpec) -> None:
         super().__init__()
@@ -81,7 +81,7 @@ class EncoderLayer(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, tokens: Tensor, positions: Tensor, groups: WindowGroups) -> Tensor:
-        """tokens, positions: (P, width) -> (P, width). Differentiable w.r.t. tokens."""
+        """Compute (P, width) from tokens and positions, (P, width) each. Differentiable w.r.t. tokens."""
         attended = self._attention(tokens, positions, groups)
         tokens = self.norm_attention(tokens + _product(self.out, attended))
         hidden = functional.gelu(_product(self.widen, tokens))
@@ -93,13 +93,13 @@ class EncoderLayer(nn.Module):
         projected = torch.cat((_product(self.query_key, tokens + positions), _product(self.value, tokens)), dim=1)
         slots = gather_rows(projected, groups.slot_token, groups.token_slot)
         outputs = []
-        # split and unbind: the way back through a slice is a tensor of zeros as large as the whole, for each of them.
+        # split and unbind, not slices: the gradient of each slice would be a tensor of zeros as large as the whole.
         parts = slots.split([bucket.windows * bucket.length for bucket in groups.buckets])
         for bucket, rows in zip(groups.buckets, parts, strict=True):
             split = rows.view(bucket.windows, bucket.length, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
             query, key, value = split.unbind(0)
-            # float32 for bfloat16 rows: with heads of 16 channels the products are too small to gain, and torch's
-            # way back through attention in bfloat16 is eight times slower on a processor (2.13: 4.0 against 0.5 s).
+            # float32 even for bfloat16 rows: heads of 16 channels are too small to gain, and on the CPU torch's
+            # backward pass of bfloat16 attention is eight times slower (2.13: 4.0 against 0.5 s).
             with torch.autocast(rows.device.type, enabled=False):
                 attended = functional.scaled_dot_product_attention(query, key, value, bucket.padding)
             outputs.append(attended.transpose(1, 2).reshape(-1, width))
@@ -107,7 +107,7 @@ class EncoderLayer(nn.Module):
 
 
 class WindowTransformer(nn.Module):
-    """All layers, each on the tokens that the wanted cells depend on."""
+    """All encoder layers, each on the tokens that the output cells depend on."""
 
     def __init__(self, spec: TransformerSpec = SST_TRANSFORMER) -> None:
         super().__init__()
@@ -116,10 +116,9 @@ class WindowTransformer(nn.Module):
         self.register_buffer("codes", position_codes(spec.window, spec.width), persistent=False)
 
     def needed_spans(self, low: int, high: int) -> list[tuple[int, int]]:
-        """Cells [low, high) along one axis that each layer must work on for its output in [low, high).
+        """Return per layer the cells [low, high) of one axis that the final output in [low, high) depends on.
 
-        First layer first; the first span is all that the result depends on. Exact: attention reaches every
-        cell of its window and none beyond.
+        The span of the first layer is all that the result depends on. Exact: attention reaches exactly its window.
         """
         spans: list[tuple[int, int]] = []
         for shift in reversed(self.spec.shifts):
@@ -128,10 +127,7 @@ class WindowTransformer(nn.Module):
         return spans[::-1]
 
     def layer(self, index: int, features: Tensor, tokens: Tokens, groups: WindowGroups | None = None) -> Tensor:
-        """One layer on the features (P, width) of whole windows' tokens; groups: of these tokens, if at hand.
-
-        Differentiable w.r.t. features.
-        """
+        """Apply one layer to (P, width) features of whole windows. groups: if computed. Differentiable in features."""
         spec = self.spec
         if groups is None:
             groups = group_by_window(tokens, spec.window, spec.shifts[index], spec.lengths).to(features.device)
@@ -143,11 +139,10 @@ class WindowTransformer(nn.Module):
     def forward(
         self, features: Tensor, tokens: Tokens, span_x: tuple[int, int], span_y: tuple[int, int]
     ) -> tuple[Tensor, Tokens]:
-        """Features (P, width) of tokens -> features of those in the spans' cells, and the tokens.
+        """Apply all layers to features (P, width). Return features and tokens in the cells of the spans.
 
-        span_x, span_y: wanted cells [low, high). Tokens on which they do not depend are let go as soon as no
-        later layer reads them, which changes nothing (our choice: the public code runs all of them through).
-        Differentiable w.r.t. features.
+        span_x, span_y: output cells [low, high). Tokens are dropped once no later layer needs them, which does not
+        change the result (our choice: the public code computes all tokens). Differentiable w.r.t. features.
         """
         spec = self.spec
         needed = zip(self.needed_spans(*span_x), self.needed_spans(*span_y), strict=True)
@@ -167,7 +162,7 @@ class WindowTransformer(nn.Module):
 def _within(
     features: Tensor, tokens: Tokens, cells_x: tuple[int, int], cells_y: tuple[int, int]
 ) -> tuple[Tensor, Tokens, bool]:
-    """Features and tokens inside the cells, and whether any was outside."""
+    """Return features and tokens inside the cells, and True if any token was outside."""
     inside = (
         (tokens.cell_x >= cells_x[0]) & (tokens.cell_x < cells_x[1])
         & (tokens.cell_y >= cells_y[0]) & (tokens.cell_y < cells_y[1])
