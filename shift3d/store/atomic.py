@@ -35,8 +35,7 @@ def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
         path: final name; an existing file is replaced in one step.
         write: the bytes, or a function that writes the file of the given name.
 
-    Raises: InputError: the disk is full or not writable. The temporary file is removed; ``path`` keeps its old content,
-    unless only the flush of its folder failed.
+    Raises: InputError: the disk is full or not writable. The old file is kept, unless only the folder's flush failed.
     """
     temporary = _temporary(path)
     with _clear_disk_errors(path):
@@ -83,7 +82,6 @@ def check_writable(folder: Path, word: str = "out=DIR") -> None:
     """Check that a folder can be written to, or created, by a trial in the nearest existing folder.
 
     word: setting that names another folder, for the message.
-
     Raises: InputError: the folder cannot be written to; the message says what to do.
     """
     with _clear_disk_errors(folder, word):

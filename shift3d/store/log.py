@@ -87,7 +87,6 @@ class CommitLog:
         """Write the segments, then the entry that makes them count.
 
         Args: done, quarantined: task ids. tables: segment tables by name; empty tables are skipped.
-
         Raises:
             TakenOverError: another driver wrote this entry; the rows are not part of the sweep.
             InputError: the disk is full; no half-written file counts.

@@ -66,9 +66,9 @@ def write_table(path: LocationLike, table: pa.Table) -> None:
 
 
 def parquet_bytes(table: pa.Table, **options: Any) -> bytes:
-    """Return a table as compressed Parquet with checksums. options: of pyarrow's `write_table`.
+    """Return a table as compressed Parquet with checksums: without them, a flipped bit would be read as other numbers.
 
-    Without checksums, a flipped bit in compressed numbers would be read as other numbers.
+    options: of pyarrow's `write_table`.
     """
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd", write_page_checksum=True, **options)
@@ -86,7 +86,6 @@ def read_table(
     """Read a Parquet file, migrate it to `SCHEMA_VERSION`, and check that it has the schema ``name``.
 
     content: bytes of the file, if the caller has them. read: reads rows with all columns from a source for pyarrow.
-
     Raises: InputError: the file is missing, torn, or of another schema or an unreadable version.
     """
     table, found, version = read_parquet(path, _RESTORE, content, read)
