@@ -19,9 +19,9 @@ _LACKED_BY_1 = ("start", "grid", "gradient", "ratio_to_paper_chord", "attack_sco
 _AGAIN = "Remove it and run make frontier again"
 
 # `knob`: the parameter, named `knob_name`, in which rows of one method differ. start: cold or warm. grid: an SDF grid
-# of the shape is available. gradient: gradient that the rendering is timed ready for (no, shape, pose). hits: true hits
-# in all renderings. ms: milliseconds of one rendering, median and quartiles. Ratios: median over that of the preset
-# paper as published, and over that of the same preset on the sphere's chord alone; null without it.
+# of the shape is available. gradient: variable (no, shape, pose) whose gradient the timed rendering prepares. hits:
+# true hits in all renderings. ms: milliseconds of one rendering, median and quartiles. Ratios: median over that of the
+# preset paper as published, and over that of the same preset on the sphere's chord alone; null without it.
 # evaluations_per_beam: decoder evaluations over beams through the object's ball. missed_hits to false_hits: fractions
 # of true hits; 2cm: of those with a chord of at least 2 cm; false hits can outnumber true ones. depth: errors of hits
 # on the right surface. residual: |g| at hits. gradient_cosine, gradient_norm_ratio: gradient of the loss against the

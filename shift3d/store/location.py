@@ -96,10 +96,10 @@ class Location(ABC):
 
     @abstractmethod
     def check_writable(self, word: str = "out=DIR") -> None:
-        """Check that `put_if_absent` has one winner in this folder. word: setting that names another folder, for the
-        message.
+        """Check that `put_if_absent` has exactly one winner in this folder.
 
-        Raises: InputError: several writers can win, or the folder cannot be written to.
+        word: setting that names another folder, for the message. Raises: InputError: several win, or no file is
+        written.
         """
 
     @abstractmethod

@@ -87,6 +87,7 @@ class CommitLog:
         """Write the segments, then the entry that makes them count.
 
         Args: done, quarantined: task ids. tables: segment tables by name; empty tables are skipped.
+
         Raises:
             TakenOverError: another driver wrote this entry; the rows are not part of the sweep.
             InputError: the disk is full; no half-written file counts.
@@ -95,10 +96,9 @@ class CommitLog:
         return self._append("commit", done, quarantined, written)
 
     def compact(self, segment: Callable[[str], pa.Table]) -> Commit:
-        """Write one entry that replaces all entries, with one segment per table.
+        """Write one entry that replaces all entries, with one segment per table. Raises as `commit`.
 
-        segment: returns all committed rows of the named table; called for one table after the other. Raises as
-        `commit`.
+        segment: returns all committed rows of the named table; called for one table after the other.
         """
         names = dict.fromkeys(name for entry in self.entries for name in entry.segments)
         written = {name: self._write(name, segment(name)) for name in names}

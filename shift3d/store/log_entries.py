@@ -86,8 +86,7 @@ def _read(log: Location, names: list[str]) -> list[Commit]:
 def read_entry(path: Location) -> Commit:
     """Read one entry.
 
-    Raises: FileNotFoundError: it is absent. InputError: it is torn, or of a version that this program cannot
-    read.
+    Raises: FileNotFoundError: no such entry. InputError: it is torn, or of a version that this program cannot read.
     """
     try:
         return entry_of(current_entry(json.loads(path.read_bytes()), str(path)), _number(path.name))

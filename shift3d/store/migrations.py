@@ -29,7 +29,7 @@ def _ids_as_text(values: Values) -> Values:
 
 
 def _judged_by_sides(name: str, table: pa.Table) -> pa.Table:
-    """Convert to version 9: it measures naturalness, and the verdict of the older rule is dropped.
+    """Convert to version 9, which measures naturalness: its columns are null, and the older rule's verdict is dropped.
 
     Version 6 already lacks `volume_share` and `mirrored`.
     """
@@ -92,8 +92,7 @@ def _random_of_equal_budget(name: str, table: pa.Table) -> pa.Table:
 
 
 OLDEST_VERSION = 5
-# Converter to the next version, by the older version. Version 7 added columns to one table, all of which version 9
-# drops.
+# Converters to the next version, by version. Version 7 added columns to one table; version 9 drops all of them.
 _ENTRIES: Mapping[int, Callable[[Values], Values]] = {5: _ids_as_text}
 _TABLES: Mapping[int, Callable[[str, pa.Table], pa.Table]] = {
     7: _searched_by_descent,

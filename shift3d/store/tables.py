@@ -132,7 +132,7 @@ def read_parquet(
 
 
 def check_table(table: pa.Table, schema: pa.Schema, path: LocationLike, remedy: str = _RESTORE) -> None:
-    """Refuse a table that lacks columns, types or values of a schema, or that holds NaN or infinity.
+    """Refuse a table whose columns or types differ from a schema, that lacks values, or that holds NaN or infinity.
 
     Raises: InputError: naming the file and the column.
     """

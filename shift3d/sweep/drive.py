@@ -92,8 +92,8 @@ def run_sweep(
     """Run the remaining tasks of a plan, and write ``final/``.
 
     finish: writes the final tables from (folder, plan, log entries) once all tasks have run. retry_quarantined: also
-    run tasks that earlier runs quarantined. reuse: other sweeps' folders; their results of the same tasks are copied
-    first.
+    run tasks that earlier runs quarantined. reuse: other sweeps' folders, whose results of the same tasks are first
+    copied.
 
     The first Ctrl-C (or SIGTERM) lets the tasks in flight finish and commits them, the second one drops them.
 

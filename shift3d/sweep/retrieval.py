@@ -1,4 +1,4 @@
-"""Retrieval of real vehicles near a finished sweep's shapes: a pool of vehicles from scenes, and scores of its nearest.
+"""Retrieval of natural vehicles near a finished sweep's shapes: a pool of vehicles from scenes, and its nearest scored.
 
 Both steps are sweeps. The tasks of the pool are scenes, in a separate folder that any sweep may use; the tasks of the
 scoring are the sweep's tasks, in its folder.
@@ -51,11 +51,11 @@ def build_pool(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepR
 
 
 def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> SweepResult:
-    """Score the pool vehicles nearest to a finished sweep's shapes; write ``vehicle_pool`` and ``retrieved`` to its
+    """Score the pool vehicles nearest to a sweep's shapes; write ``vehicle_pool`` and ``retrieved`` into its
     ``final/``.
 
-    folder: of the sweep. pool: of a finished pool, whose codes are of the same decoder. Like a sweep, it runs each task
-    exactly once, and resumes to the same bytes.
+    folder: of the finished sweep. pool: of a finished pool, whose codes are of the same decoder. Like a sweep, it runs
+    each task exactly once, and resumes to the same bytes.
     Raises: InputError as `run_sweep`, or if sweep or pool has not finished, or their decoders differ.
     """
     from shift3d.task.follow_ups.retrieval import load_retrieval_assets, retrieval_task

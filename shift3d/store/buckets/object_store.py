@@ -38,8 +38,7 @@ _ENDPOINTS = ("AWS_ENDPOINT", "AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "GOOGLE
 _THREADS = 16
 _IN_ONE_PIECE = 32 * 2**20
 _FETCHED_BYTES = 2**20  # minimum size of a range request
-# Retries last seconds, not minutes, so that the user soon reads what is wrong. The last of 6 tries starts 6 s after the
-# first.
+# Retries last seconds, not minutes, so that the user soon reads what is wrong. The 6th try starts 6 s after the first.
 _RETRY: RetryConfig = {
     "max_retries": 5,
     "retry_timeout": timedelta(seconds=60),

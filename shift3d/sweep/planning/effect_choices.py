@@ -40,7 +40,7 @@ class EffectChoices:
     _settings: dict[str, None] = field(default_factory=dict)
 
     def of(self, config: Config, catalogue: Catalogue, scenes: Sequence[int]) -> list[tuple[str, ...]]:
-        """Return the names of the effects of tasks in these scenes, in the order of the physics.
+        """Return the names of the effects of tasks in these scenes, in the physical order of `NEEDS`.
 
         Args: scenes: positions in the catalogue.
         Raises: InputError: a scene lacks the data for a forced effect.
@@ -64,7 +64,7 @@ class EffectChoices:
         return names
 
     def _kinds(self, catalogue: Catalogue) -> tuple[list[int], list[SceneFacts]]:
-        """Return, by scene, the number of its facts without the name; and the facts by number."""
+        """Return the index of each scene's facts (without its name), and the distinct facts."""
         if id(catalogue) not in self._alike:
             _, numbers = numbered(replace(entry.facts, scene_id="") for entry in catalogue.scenes)
             first = np.unique(numbers, return_index=True)[1]
@@ -80,7 +80,7 @@ class EffectChoices:
         ]
 
     def decisions(self) -> tuple[Decision, ...]:
-        """Return the decisions in the order of the physics. An effect that only some scenes use appears twice."""
+        """Return the decisions in the physical order of `NEEDS`; twice for an effect that only some scenes use."""
         order = list(NEEDS)
         found = sorted(self._lines.values(), key=lambda line: (order.index(line[0].effect), not line[0].used))
         return tuple((choice, tuple(scenes)) for choice, scenes in found)

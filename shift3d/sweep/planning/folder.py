@@ -58,8 +58,7 @@ def open_folder(folder: LocationLike, plan: Plan) -> None:
     Raises: InputError: see `check_folder`; or the disk is full.
     """
     folder = as_location(folder)
-    # spec.yaml is written first: it decides which plan owns the folder, and only drivers of that plan write other
-    # files.
+    # spec.yaml is first: it decides which plan owns the folder, and only drivers of that plan write further files.
     begun = check_folder(folder, plan)
     if not begun and not (folder / "spec.yaml").put_if_absent(_spec_bytes(plan)):
         begun = check_folder(folder, plan)  # another driver was faster: its plan must be the same
@@ -70,7 +69,7 @@ def open_folder(folder: LocationLike, plan: Plan) -> None:
 
 
 def _empty_or_begun(folder: Location) -> bool:
-    """True if the folder is absent, empty, or has only immutable files, left by a killed driver."""
+    """True if the folder is absent, empty, or has only plan.parquet or env.json, left by a killed driver."""
     try:
         return not folder.is_file() and set(folder.names()) <= {"plan.parquet", "env.json"}
     except NotADirectoryError:

@@ -46,8 +46,7 @@ class Layouts:
     _known: dict[tuple[object, ...], _Layout] = field(default_factory=dict)
 
     def tasks_of(self, config: Config, catalogue: Catalogue, spec: TaskSpec) -> tuple[np.ndarray, np.ndarray]:
-        """Return, for each task of one combination of settings, the builder's numbers of its template and its task
-        scene.
+        """Return the builder's numbers of the template and the task scene of each task of one combination of settings.
 
         spec: common part of the tasks.
         Raises: InputError: the scene is unknown, the set is empty or too small for the transfers, or a scene lacks the

@@ -160,7 +160,7 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
 
 
 def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
-    """Return the vehicle with this name or unique beginning of a name; a drawn vehicle's number is appended."""
+    """Complete a vehicle's name from a unique beginning; the number of a drawn vehicle stays behind it."""
     name, names, where = config.vehicle.name, list(catalogue.vehicles), f"{where}, vehicle.name"
     kind, number = kind_and_number(name)
     for beginning, behind in ((name, ""), (kind, f"-{number}")):

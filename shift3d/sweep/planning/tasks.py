@@ -134,8 +134,7 @@ class Tasks(Sequence[PlannedTask]):
         return found
 
     def kinds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Group the tasks that differ only in their scenes, and not in the number of scenes that their shape is put
-        into.
+        """Group the tasks that differ only in their scenes, and not in the number of scenes of transfers.
 
         Returns: the position of each kind's first task, ascending, and the kind of each task.
         """

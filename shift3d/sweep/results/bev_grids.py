@@ -28,8 +28,7 @@ def groups(frame: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
 def bev_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
     """Compute the score reduction against the same task's baseline, by the cell of the vehicle's first place.
 
-    A pose attack moves the vehicle; its cell stays that of the baseline (our choice: the paper draws the grid for
-    shapes alone).
+    A pose attack moves the vehicle; its cell stays that of the baseline (our choice: the paper's grid is for shapes).
     """
     keys = ["task_id", "effects", "scored_by"]
     baseline = scored[scored["method"] == "baseline"].drop_duplicates(keys)[[*keys, "score", "x_m", "y_m"]]

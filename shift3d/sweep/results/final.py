@@ -108,8 +108,7 @@ def _by_effects_requested(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
 
 
 def segments_in_plan_order(folder: LocationLike, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
-    """Return all committed rows of one table, in plan order, and within a task in the task's order (attempts: by
-    number).
+    """Return all committed rows of one table in plan order; rows of a task keep their order (attempts: by number).
 
     Raises: InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 NEARLY_EQUAL = 0.05
 """Share above the lowest loss up to which a loss is 'very similar'. Our choice: the paper gives no number."""
 RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "search", "effects")
-"""Columns that each choice of lambda is made for. alpha is chosen for all vehicles together."""
+"""Columns that distinguish the choices of lambda. alpha is chosen for all vehicles together."""
 _ALPHA_KEYS = ("mode", "detector", "accuracy", "search", "effects")
 _SCENE = ["dataset", "scene"]
 

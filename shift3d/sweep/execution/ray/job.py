@@ -31,8 +31,7 @@ def submit_sweep(
         runtime_env: Ray's runtime environment of the job's processes.
         folders: copied into the job's working directory, which runtime_env then cannot name.
 
-    Raises: InputError: ``out=`` is absent or relative, the cluster does not answer or refuses us, or the job cannot
-    start.
+    Raises: InputError: no absolute ``out=``, the cluster does not answer or refuses us, or the job cannot start.
     """
     if not any(re.match(r"out=(/|\w+://)", word) for word in words):
         raise InputError(

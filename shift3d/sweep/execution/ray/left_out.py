@@ -60,8 +60,7 @@ class LeftOut:
         del self._failed[node_id]
 
     def unread(self, node_id: str, scenes: set[str], done: bool) -> bool:
-        """Count the scenes of tasks that a machine's file system or network failed. Return True if the limit is
-        reached.
+        """Count the scenes whose files a machine's tasks could not read or write. Return True if the limit is reached.
 
         done: the machine finished other tasks meanwhile, which resets the earlier count.
         """

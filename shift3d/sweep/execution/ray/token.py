@@ -19,8 +19,7 @@ def require_token(private: bool) -> bool:
 
     Ray's own variables have priority: RAY_AUTH_MODE=disabled turns it off, RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH name
     the token. Otherwise a private Ray uses the token of :func:`token_file`, which is made if absent, and a cluster the
-    token of Ray's own commands, ``~/.ray/auth_token``. A cluster without a known token may ask for none: the result is
-    False.
+    token of Ray's own commands, ``~/.ray/auth_token``. A cluster without a known token may need none: False.
 
     Source: our choice. Ray itself would make a token in a file that everybody on the machine can read.
 

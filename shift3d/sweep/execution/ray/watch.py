@@ -1,4 +1,4 @@
-"""Detection of hanging tasks: the status file of a worker past the time limit is read, and the worker is ended."""
+"""Detection of hanging tasks: the driver reads the status file of a worker past the time limit, and ends the worker."""
 
 from __future__ import annotations
 
