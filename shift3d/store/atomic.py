@@ -56,7 +56,7 @@ def put_if_absent(path: Path, content: bytes) -> bool:
     file system may lose its answer after it made the link, so the content of an existing file is compared.
 
     Raises:
-        InputError: the disk is full or not writable; neither the temporary file nor ``path`` is created.
+        InputError: the disk is full or not writable; neither the temporary file nor ``path`` is left.
         UncertainError: the folder cannot be flushed, so the file may be absent after a power cut.
     """
     temporary = _temporary(path)

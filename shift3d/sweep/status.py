@@ -237,4 +237,4 @@ def _began(pid: int) -> str | None:
         state = Path(f"/proc/{pid:d}/stat").read_text()
     except OSError:
         return None
-    return state.rpartition(")")[2].split()[19]  # the name, in brackets, may contain spaces
+    return state.rpartition(")")[2].split()[19]  # the name, in brackets, may contain anything

@@ -6,7 +6,7 @@ Failures of a call and their consequences (design section 9):
 - the worker died, ran out of memory or hung with one task: the task is charged, and quarantined the second time;
 - the machine was lost: its tasks are run again, not charged;
 - the machine cannot load the assets: its tasks are run again elsewhere, not charged. If no machine can, the sweep ends;
-- tasks of three scenes in a row cannot read or write files there: the next ones run elsewhere, if there is a machine.
+- tasks of three scenes in a row cannot read or write files there: the next ones run on another machine, if any.
 
 Source: our choice.
 """
