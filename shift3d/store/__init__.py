@@ -1,1 +1,1 @@
-"""What is kept on disk: schemas, atomic writes, and the commit log."""
+"""Storage in folders and buckets: schemas, atomic writes, and the commit log."""

@@ -1,4 +1,4 @@
-"""Arrays in files that are there whole or not at all."""
+"""Atomic writing of NumPy archives and safetensors files, and reading of safetensors files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def write_arrays(path: Path, **arrays: Any) -> None:
-    """Write arrays by name as .npz, in one step. Raises InputError: the disk is full or not writable."""
+    """Write named arrays as .npz, atomically. Raises InputError: the disk is full or not writable."""
 
     def write(temporary: Path) -> None:
         with temporary.open("wb") as file:
@@ -28,9 +28,9 @@ def write_arrays(path: Path, **arrays: Any) -> None:
 
 
 def write_safetensors(path: Path, tensors: Mapping[str, Tensor | NDArray[Any]], metadata: Mapping[str, str]) -> None:
-    """Write tensors or arrays, and texts, replacing the file in one step: equal content is equal bytes.
+    """Write tensors or arrays, and text metadata, atomically. Equal content gives equal bytes.
 
-    The library writes metadata of several keys in an order that differs from process to process.
+    The metadata keys are sorted, since the library writes several keys in an order that differs between processes.
 
     Raises: InputError, see `write_atomic`.
     """
@@ -42,16 +42,16 @@ def write_safetensors(path: Path, tensors: Mapping[str, Tensor | NDArray[Any]], 
     header: dict[str, Any] = json.loads(content[8:data])
     ordered = {"__metadata__": dict(sorted(metadata.items()))} | {k: header[k] for k in header if k != "__metadata__"}
     text = json.dumps(ordered, separators=(",", ":"), ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 8)  # as the library pads it
+    text += b" " * (-len(text) % 8)  # the library pads the header in the same way
     write_atomic(path, len(text).to_bytes(8, "little") + text + content[data:])
 
 
 def read_safetensors(
     path: Path | str | None, default: Path, framework: str
 ) -> tuple[dict[str, Any], dict[str, str], Path]:
-    """Tensors and metadata of a file, and its path. default: of the shipped weights, where path is None.
+    """Return the tensors, the metadata and the path of a file. path: None reads `default`, the shipped weights.
 
-    framework: "pt" or "np". Raises InputError naming the file: it is missing or unreadable.
+    framework: "pt" or "np". Raises InputError naming the file: the file is missing or unreadable.
     """
     from safetensors import SafetensorError, safe_open
 
@@ -62,6 +62,6 @@ def read_safetensors(
     try:
         with safe_open(str(source), framework=framework) as file:
             return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}, source  # noqa: SIM118
-    except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that NumPy does not have
+    except (SafetensorError, OSError, TypeError) as error:  # TypeError: NumPy lacks the dtype
         what = f"not a readable safetensors file ({error})"
         raise InputError(what, where=str(source), remedy="Copy it again") from error

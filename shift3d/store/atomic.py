@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, whatever is killed or full."""
+"""Atomic file writes: a file is complete or absent, even after a kill or on a full disk."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from pathlib import Path
 from shift3d.errors import InputError
 
 _TEMPORARY = ".tmp-"
-# .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
+# .tmp-<process id>-<machine hash><random part>-<final name>; older programs omit the middle part.
 _OWNER = re.compile(r"\.tmp-(\d+)-(?:([0-9a-f]{8})[0-9a-f]{8}-)?")
 
 
 class DiskFullError(InputError):
-    """There is no room: the same command goes through where there is some, and a command that resumes goes on."""
+    """Error for an exhausted disk, quota or size limit: with free space the same command works or resumes."""
 
 
 class UncertainError(InputError):
-    """A file was to be created, and nobody can say whether it was: what it names must not be removed."""
+    """Error for a file that may or may not have been created: files that its content names must not be removed."""
 
 
 def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
-    """Write a file under a temporary name, flush it to the disk, and rename it to ``path``.
+    """Write a temporary file, flush it to disk, and rename it to ``path``.
 
     Args:
         path: final name; an existing file is replaced in one step.
-        write: the bytes, or a function that writes the file it is given the name of.
+        write: the bytes, or a function that writes the file of the given name.
 
-    Raises: InputError: the disk is full or not writable; nothing is left under either name.
+    Raises: InputError: the disk is full or not writable. The old file is kept, unless only the folder's flush failed.
     """
     temporary = _temporary(path)
     with _clear_disk_errors(path):
@@ -44,20 +44,20 @@ def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
             _fill(temporary, write)
             temporary.replace(path)
         finally:
-            with contextlib.suppress(OSError):  # what failed before is the error
+            with contextlib.suppress(OSError):  # an earlier failure is the one to report
                 temporary.unlink(missing_ok=True)
         _flush(path.parent)
 
 
 def put_if_absent(path: Path, content: bytes) -> bool:
-    """Create ``path`` with ``content`` in one step, unless it exists. True where its content is now the given one.
+    """Create ``path`` with ``content`` in one step unless it exists. Return True if the file has this content.
 
-    A hard link from a complete temporary file: unlike O_EXCL, a kill cannot leave a torn file under the name. On a
-    network's file system the answer may get lost after the link was made, so what is there is compared.
+    The file is a hard link to a complete temporary file: unlike with O_EXCL, a kill cannot leave a torn file. A network
+    file system may lose its answer after it made the link, so the content of an existing file is compared.
 
     Raises:
-        InputError: the disk is full or not writable; nothing is left under either name.
-        UncertainError: the folder cannot be flushed, so the file may or may not be there after a power cut.
+        InputError: the disk is full or not writable; neither the temporary file nor ``path`` is left.
+        UncertainError: the folder cannot be flushed, so the file may be absent after a power cut.
     """
     temporary = _temporary(path)
     with _clear_disk_errors(path):
@@ -79,11 +79,10 @@ def put_if_absent(path: Path, content: bytes) -> bool:
 
 
 def check_writable(folder: Path, word: str = "out=DIR") -> None:
-    """Make sure that a folder can be written to, or made. It is tried in the nearest folder that there is.
+    """Check that a folder can be written to, or created, by a trial in the nearest existing folder.
 
-    word: what names another folder, for the message.
-
-    Raises: InputError: it cannot; the message says what to do.
+    word: setting that names another folder, for the message.
+    Raises: InputError: the folder cannot be written to; the message says what to do.
     """
     with _clear_disk_errors(folder, word):
         nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
@@ -91,7 +90,7 @@ def check_writable(folder: Path, word: str = "out=DIR") -> None:
 
 
 def leftovers(folder: Path) -> list[Path]:
-    """Temporary files that killed processes of this machine left in ``folder``."""
+    """Return the temporary files that killed processes of this machine left in ``folder``."""
     if not folder.is_dir():
         return []
     found = []
@@ -103,7 +102,7 @@ def leftovers(folder: Path) -> list[Path]:
 
 
 def _temporary(path: Path) -> Path:
-    """A name that no other thread, process or machine uses."""
+    """Return a name that no other thread, process or machine uses."""
     return path.with_name(f"{_TEMPORARY}{os.getpid()}-{_machine()}{secrets.token_hex(4)}-{path.name}")
 
 
@@ -120,7 +119,7 @@ def _fill(path: Path, write: bytes | Callable[[Path], None]) -> None:
 
 
 def _flush(path: Path) -> None:
-    """A file's content to the disk, or a folder's names."""
+    """Flush the content of a file, or the names in a folder, to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -154,7 +153,7 @@ def _clear_disk_errors(path: Path, word: str = "out=DIR") -> Iterator[None]:
 
 
 def disk_error(error: OSError) -> InputError | None:
-    """The line for what a disk refuses a library that writes by itself; None for other errors."""
+    """Return the InputError for a full or read-only disk that a library met; None for other errors."""
     where = str(error.filename or "")
     if error.errno == errno.EROFS:
         what, remedy = _REFUSED[errno.EROFS]

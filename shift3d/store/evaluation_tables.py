@@ -1,4 +1,4 @@
-"""Arrow schemas of an evaluation's folder, and columns to tables of them."""
+"""Arrow schemas of the tables in an evaluation folder, and their construction from columns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EVALUATION_SCHEMA_VERSION = 2
 
 _BOX = "x_m y_m z_m dx_m dy_m dz_m heading_rad"
 _ERRORS = " ".join(f"error_{name}" for name in _BOX.split())
-# What a value or a curve is of. Null ranges: no limit.
+# Key columns of a metric or curve. A null range means no limit.
 _WHICH = "detector dataset protocol view subset iou_threshold min_range_m? max_range_m?"
 _NUMBERS = (
     f"{_BOX} {_ERRORS} iou_threshold min_range_m max_range_m value recall score_threshold precision heading_precision "
@@ -25,26 +25,26 @@ _TYPES = dict.fromkeys(_NUMBERS.split(), "float64")
 _TYPES |= dict.fromkeys(("num_truth", "num_scenes", "num_points", "difficulty", "row", "number"), "int64")
 _TYPES |= dict.fromkeys(("labelled", "counts", "flipped"), "bool")
 _COLUMNS = {
-    # metric: AP or APH. value: null where there is nothing to find. recall: the highest that was reached.
+    # metric: AP or APH. value: null without ground truth. recall: the highest recall reached.
     "metrics": f"{_WHICH} metric value? recall num_truth num_scenes",
     "curves": f"{_WHICH} score_threshold recall precision heading_precision",
     # Boxes in the scene frame. image_height_px: null without a camera.
     "detections": f"detector dataset scene {_BOX} score labelled image_height_px?",
-    # difficulty: 0 easy, 1 moderate, 2 hard, 3 harder; null where the labels carry none.
+    # difficulty: 0 easy, 1 moderate, 2 hard, 3 harder; null if the labels have none.
     "truth": f"dataset scene name {_BOX} num_points counts difficulty? kind?",
-    # A row a vehicle that counts, within any range. row: of the scene's labels. aspect: the side that the beam to its
-    # centre meets: front, side, rear, oblique. score, flipped and errors: of the best detection with a bird's-eye IoU
-    # of at least 0.5; null without one. Errors: found less true, x and y along and across the true vehicle, heading of
-    # the axis, half turns taken out.
+    # One row per vehicle that counts, at any range. row: index among the scene's labels. aspect: side that the beam to
+    # the vehicle's centre meets: front, side, rear, oblique. score, flipped and errors: of the best detection with a
+    # bird's-eye IoU of at least 0.5; null without one. Errors: detection minus ground truth, x and y along and across
+    # the true vehicle, heading modulo half turns.
     "vehicles": (
         "detector dataset scene row kind? range_m num_points aspect score? iou_bev iou_3d flipped? "
         + " ".join(f"{name}?" for name in _ERRORS.split())
     ),
-    # by: all, range, heading, points, body, attribute; group: which. measure and statistic: AP and APH (Waymo's,
-    # LEVEL_1, IoU 0.7; BEV or 3D), recall (at a score of 0.3, by IoU), flips, error_x_m and the like (median, mean,
-    # std). low, high: 95 % interval over resampled scenes, null for fewer than two. number: of vehicles.
+    # by: all, range, heading, points, body, attribute; group: value of `by`. measure and statistic: AP and APH
+    # (Waymo's, LEVEL_1, IoU 0.7; BEV or 3D), recall (at a score of 0.3, by IoU), flips, error_x_m and the like (median,
+    # mean, std). low, high: 95 % interval over resampled scenes, null for fewer than two. number: of vehicles.
     "breakdown": "detector dataset by group measure statistic value? low? high? number",
-    # Apart from the rest, because no two runs take the same time.
+    # A separate table, because times differ from run to run.
     "timings": "detector dataset scene scene_ms detect_ms",
 }
 EVALUATION_SCHEMAS: dict[str, pa.Schema] = {
@@ -54,10 +54,10 @@ EVALUATION_SCHEMAS: dict[str, pa.Schema] = {
 
 
 def evaluation_table(name: str, columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any]]) -> pa.Table:
-    """Columns of equal length as a table of the schema ``name``. NaN in a column that may be null becomes null.
+    """Return columns of equal length as a table of the schema ``name``. NaN in a nullable column becomes null.
 
     Raises:
-        ValueError: a column is missing or unknown. InputError: one that may not be null holds None, NaN or infinity.
+        ValueError: a column is missing or unknown. InputError: a non-nullable column holds None, NaN or infinity.
     """
     schema = EVALUATION_SCHEMAS[name]
     if set(columns) != set(schema.names):

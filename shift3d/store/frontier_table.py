@@ -1,4 +1,4 @@
-"""The table of a measured frontier: one row per setting and scene set, what it costs and what it gets wrong."""
+"""Table of a measured frontier: cost and errors of each setting in each scene set, one row each."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from shift3d.store.tables import check_table, read_parquet, table_of
 
 FRONTIER_SCHEMA_VERSION = 2
 _LACKED_BY_1 = ("start", "grid", "gradient", "ratio_to_paper_chord", "attack_score")
-"""Columns that version 1 did not have, all of which may be null."""
+"""Nullable columns that version 1 lacks."""
 _AGAIN = "Remove it and run make frontier again"
 
-# What was measured: rows of one method differ in `knob` alone, whose name is `knob_name`. Under which conditions: cold
-# or warm, whether an SDF grid of the shape was at hand, and of what (no, shape, pose) it was timed ready to take the
-# gradient. On how much: true hits in all renderings. Milliseconds of one rendering: median and quartiles. The ratios
-# are a median over this one: that of the preset paper, as it was published, and that of the same on the sphere's chord
-# alone; null without it. evaluations_per_beam: of the decoder, over beams through the object's ball. Fractions of true
-# hits; 2cm: of those whose chord is at least 2 cm; there can be more false hits than true ones. Depth errors: of hits
-# on the right surface; the residual is |g| at hits. Gradient: of the loss, against the preset reference. score_delta:
-# mean |final score - with reference|; auc_delta: difference of the mean scores. detector_ms: forward and backward;
-# step: a whole attack step. attack_score: mean final score that short attacks on shape and pose reach. pareto: in its
-# scenes no setting that could be used instead is better, see shift3d.accuracy_time.pareto.
+# `knob`: the parameter, named `knob_name`, in which rows of one method differ. start: cold or warm. grid: an SDF grid
+# of the shape is available. gradient: variable (no, shape, pose) whose gradient the timed rendering prepares. hits:
+# true hits in all renderings. ms: milliseconds of one rendering, median and quartiles. Ratios: median over that of the
+# preset paper as published, and over that of the same preset on the sphere's chord alone; null without it.
+# evaluations_per_beam: decoder evaluations over beams through the object's ball. missed_hits to false_hits: fractions
+# of true hits; 2cm: of those with a chord of at least 2 cm; false hits can outnumber true ones. depth: errors of hits
+# on the right surface. residual: |g| at hits. gradient_cosine, gradient_norm_ratio: gradient of the loss against the
+# preset reference. score_delta: mean |final score - with reference|; auc_delta: difference of the mean scores.
+# detector_ms: forward and backward; step: a whole attack step. attack_score: mean final score of short attacks on shape
+# and pose. pareto: no other usable setting is better in the row's scenes, see shift3d.accuracy_time.pareto.
 _COLUMNS = """
 setting method knob? knob_name:string? preset:string? start:string? grid:bool? gradient:string? scenes
 renders:int64 beams:int64 hits:int64 ms_median:float64 ms_low:float64 ms_high:float64 ratio_to_paper?
@@ -42,10 +42,10 @@ FRONTIER_SCHEMA: pa.Schema = _PLAIN.with_metadata({**_PLAIN.metadata, b"shift3d.
 
 
 def frontier_table(rows: Sequence[Mapping[str, Any]], machine: Mapping[str, Any] | None = None) -> pa.Table:
-    """Rows of plain Python or NumPy values as the frontier's table, ready for ``write_table``.
+    """Return rows of plain Python or NumPy values as the frontier table, ready for ``write_table``.
 
-    machine: what the times hold for (processor, cores, torch, threads), without a date, so that the same measurement
-    gives the same bytes; the metadata holds it as JSON under "shift3d.machine".
+    machine: processor, cores, torch and threads of the measurement, without a date, so that equal measurements give
+    equal bytes. The metadata holds it as JSON under "shift3d.machine".
     Raises: ValueError as `table_of`.
     """
     described = json.dumps(dict(machine or {}), sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -54,7 +54,7 @@ def frontier_table(rows: Sequence[Mapping[str, Any]], machine: Mapping[str, Any]
 
 
 def read_frontier(path: Path) -> pa.Table:
-    """Read ``frontier.parquet`` and check that it holds a frontier; columns that an older one lacks are null.
+    """Read and check ``frontier.parquet``. Columns that an older file lacks are null.
 
     Raises: InputError: the file is missing, torn, of another schema or version, or lacks a column.
     """
@@ -74,7 +74,7 @@ def read_frontier(path: Path) -> pa.Table:
 
 
 def machine_of(table: pa.Table) -> dict[str, Any]:
-    """The machine that a frontier was measured on, {} where nothing is known of it.
+    """Return the machine that a frontier was measured on; {} if unknown.
 
     Raises: InputError: the metadata is no JSON object.
     """

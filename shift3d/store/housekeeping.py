@@ -1,4 +1,4 @@
-"""What a sweep's folder does not need: removed, and merged. Safe while a driver runs, and at any moment it is killed.
+"""Clean-up and compaction of a sweep's folder, safe while a driver runs and under a kill at any moment.
 
 Source: our choice (design section 9).
 """
@@ -20,10 +20,10 @@ _SEGMENT = re.compile(r"\d{8}-(\d+-[0-9a-f]{8})-\w+\.parquet")
 
 @dataclass(frozen=True)
 class Garbage:
-    """Files that no reader looks at and no driver can make count any more.
+    """Files that no reader uses and no driver can commit.
 
-    segments: of drivers that were stopped before their entry. replaced: log entries that a compaction stands for.
-    temporary: half-written by processes that are gone. unknown: names in data/ that are none of ours; they stay.
+    segments: written by drivers that stopped before their log entry. replaced: log entries that a compaction replaced.
+    temporary: half-written by dead processes. unknown: names in data/ of no driver in the log; these files stay.
     """
 
     segments: tuple[Location, ...]
@@ -33,16 +33,16 @@ class Garbage:
 
     @property
     def files(self) -> tuple[Location, ...]:
-        """All that may be removed. Entries before segments: none of them is ever without its segments."""
+        """All files to remove. Entries come before segments, so that no entry is ever without its segments."""
         return (*self.replaced, *self.segments, *self.temporary)
 
 
 def find_garbage(folder: LocationLike) -> Garbage:
-    """What `collect` removes.
+    """Return the files that `collect` removes.
 
-    What lies in data/ is listed before the log is read. So a segment that the log does not name then belongs to a
-    driver whose session is in the log: to the last one, which may be about to commit it and is left alone, or to an
-    earlier one, which never can. No clock is needed.
+    The function lists data/ before it reads the log. A segment that the log does not name then belongs to the driver of
+    the last session, which may be about to commit it and keeps it, or to an earlier driver, which can never commit it.
+    No clock is needed.
 
     Raises: InputError: the log is damaged; nothing is garbage then.
     """
@@ -81,14 +81,14 @@ def _entry(path: Location) -> Commit | None:
 
 
 def collect(garbage: Garbage) -> None:
-    """Remove it."""
+    """Remove the garbage files."""
     for file in garbage.files:
         file.delete()
 
 
 @dataclass(frozen=True)
 class Compacted:
-    """What a compaction did. entries, segments: how many there were. removed: files, the entries among them."""
+    """Result of a compaction. entries, segments: numbers before it. removed: number of files, log entries included."""
 
     entries: int
     segments: int
@@ -97,10 +97,10 @@ class Compacted:
 
 
 def compact(folder: LocationLike) -> Compacted:
-    """Merge what was committed into one entry and one segment a table. Rows keep their order, so final/ its bytes.
+    """Merge all commits into one log entry and one segment per table. Row order and the bytes of final/ do not change.
 
-    It opens a session, so a driver that runs is stopped at its next commit. The new entry makes the new segments count
-    and the old ones not, in one step; only then are the old ones removed.
+    The compaction opens a session, so a running driver is stopped at its next commit. The new entry replaces the old
+    segments by the new ones in one step; only then are the old files removed.
 
     Raises: InputError: the folder has no log, it is damaged, another driver began meanwhile, or the disk is full.
     """

@@ -1,7 +1,7 @@
-"""Where a sweep's files lie: a folder of this machine's file systems, or a prefix of a bucket.
+"""Locations of a sweep's files: a folder on this machine's file systems, or a prefix in a bucket.
 
-Both give the commit log what it rests on: a file is there whole or not at all, and of several writers of one new name
-exactly one succeeds. pyarrow's file systems are not used, since their S3 has no put that fails where a file is there.
+Both give the commit log two guarantees: a file is complete or absent, and exactly one of several writers creates a new
+name. pyarrow's file systems are not used: their S3 has no put that fails if the file exists.
 
 Source: our choice (design section 9).
 """
@@ -21,97 +21,95 @@ Result = TypeVar("Result")
 
 
 class Location(ABC):
-    """A file or a folder by its name, whether it is there or not. ``/`` gives what lies in it; str() its path or URL.
+    """File or folder with a name; it need not exist. ``/`` returns a child, str() the path or URL.
 
-    Two locations of the same name are equal. One can be sent to another process.
+    Locations of equal name are equal. A location can be sent to another process.
     """
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """The last part of it."""
+        """Last part of the path or key."""
 
     @abstractmethod
     def __truediv__(self, part: str) -> Location: ...
 
     @abstractmethod
     def absolute(self) -> Location:
-        """The same, for a process with another working directory."""
+        """Return the same location, valid in a process with another working directory."""
 
     @abstractmethod
     def is_file(self) -> bool:
-        """Whether a file is there."""
+        """True if the location is a file that exists."""
 
     @abstractmethod
     def size(self) -> int:
-        """Bytes of a file. Raises FileNotFoundError where there is none."""
+        """Return the size of the file in bytes. Raises FileNotFoundError if it is absent."""
 
     @abstractmethod
     def read_bytes(self) -> bytes:
-        """A file's content. Raises FileNotFoundError where there is none."""
+        """Return the content of the file. Raises FileNotFoundError if it is absent."""
 
     def read_text(self) -> str:
-        """A file's content as UTF-8. Raises FileNotFoundError where there is none, ValueError where it is no text."""
+        """Return the content as UTF-8. Raises FileNotFoundError if the file is absent, ValueError if it is no text."""
         return self.read_bytes().decode()
 
     @abstractmethod
     def open(self) -> Any:
-        """A file's content as a binary file object that reads from any place of it, for files read in part.
-
-        Raises: FileNotFoundError: there is none.
-        """
+        """Return a seekable binary file object, for partial reads. Raises FileNotFoundError if the file is absent."""
 
     @abstractmethod
     def version(self) -> str:
-        """A text that changes whenever the file's content may; empty where there is no file."""
+        """Return a text that changes whenever the content may change; empty if the file is absent."""
 
     @abstractmethod
     def names(self) -> list[str]:
-        """Names of the files and folders in it, in order, without hidden ones; none where there is no such folder.
+        """Return the sorted names of the files and folders inside, without hidden ones; [] if the folder is absent.
 
-        Raises: NotADirectoryError: something else is there.
+        Raises: NotADirectoryError: the location is no folder.
         """
 
     @abstractmethod
     def write_atomic(self, content: bytes) -> None:
-        """Write a file: whole, or as it was before.
+        """Write the file in one step: it has the old content or the new one.
 
-        Raises: InputError: it cannot be written; the message says what to do.
+        Raises: InputError: the file cannot be written; the message says what to do.
         """
 
     @abstractmethod
     def put_if_absent(self, content: bytes) -> bool:
-        """Create a file in one step, unless there is one. True where its content is now the given one.
+        """Create the file in one step unless it exists. Return True if the file has the given content.
 
-        An answer may get lost after the file was created: then a second try finds it there. So writers whose place
-        among others matters must put their own name into the content.
+        The answer may get lost after the file was created; a second try then finds the file. Writers that compete for a
+        name must therefore put their own name into the content.
 
-        Raises: UncertainError: nobody can say whether it was created. InputError: it was not, and cannot be.
+        Raises: UncertainError: the file may or may not exist. InputError: the file was not created and cannot be.
         """
 
     @abstractmethod
     def delete(self) -> None:
-        """Remove a file where there is one."""
+        """Remove the file if it exists."""
 
     @abstractmethod
     def leftovers(self) -> list[Location]:
-        """Files in this folder that writers which no longer run left half-written."""
+        """Return the half-written files in this folder whose writers are dead."""
 
     @abstractmethod
     def check_writable(self, word: str = "out=DIR") -> None:
-        """Make sure that `put_if_absent` has one winner here. word: what names another folder, for the message.
+        """Check that `put_if_absent` has exactly one winner in this folder.
 
-        Raises: InputError: it has not, or nothing can be written.
+        word: setting that names another folder, for the message. Raises: InputError: several win, or no file is
+        written.
         """
 
     @abstractmethod
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """``function`` of each of the items, in their order: by several threads where files are far away."""
+        """Return ``function`` of each item, in order. Remote locations use several threads."""
 
 
 @dataclass(frozen=True)
 class LocalLocation(Location):
-    """A file or folder of this machine's file systems."""
+    """File or folder on this machine's file systems."""
 
     path: Path
 
@@ -141,7 +139,7 @@ class LocalLocation(Location):
         return self.path.open("rb")
 
     def version(self) -> str:
-        """See `Location`: size and time of last change."""
+        """See `Location`: size and time of the last change."""
         try:
             state = self.path.stat()
         except OSError:
@@ -163,11 +161,11 @@ class LocalLocation(Location):
         self.path.unlink(missing_ok=True)
 
     def leftovers(self) -> list[Location]:
-        """See `Location`. Writers of other machines are left alone: nobody here knows whether they run."""
+        """See `Location`. Files of other machines stay: this machine cannot know if their writers run."""
         return [LocalLocation(path) for path in atomic.leftovers(self.path)]
 
     def check_writable(self, word: str = "out=DIR") -> None:
-        """See `Location`: hard links have one winner on every file system that has them, so a folder is tried alone."""
+        """See `Location`: hard links, where they exist, have one winner, so only the creation of a folder is tried."""
         atomic.check_writable(self.path, word)
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:

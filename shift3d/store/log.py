@@ -1,8 +1,8 @@
-"""The commit log: numbered JSON files that are the only truth about what is done.
+"""Commit log: numbered JSON files, the only record of the finished tasks.
 
-One driver appends. Entry n is created only if absent, so of two drivers one is stopped at its next commit.
-Each driver opens with a session entry, which stops any earlier driver that is still alive. A compaction writes an entry
-that stands for all before it; sessions before it are kept, since they are what stops a driver that slept meanwhile.
+One driver appends entries. Entry n is created only if absent, so of two drivers one is stopped at its next commit. Each
+driver begins with a session entry, which stops every earlier driver that still runs. A compaction writes one entry that
+replaces all entries before it; older session entries stay, since they stop a driver that slept meanwhile.
 
 Source: our choice (design section 9).
 """
@@ -31,22 +31,22 @@ _BEGINNINGS = 50
 
 
 class TakenOverError(InputError):
-    """Another driver appended to the log: this one must stop, and has lost nothing that it committed."""
+    """Error after another driver appended to the log: this driver must stop; its commits stay valid."""
 
     exit_code = ExitCode.TAKEN_OVER
 
 
 class CommitLog:
-    """The log as its one writer sees it.
+    """Commit log of a sweep, opened by its only writer.
 
     Args:
-        folder: the sweep's output folder.
-        spec_hash: what the sweep is; kept in every entry.
+        folder: output folder of the sweep.
+        spec_hash: hash of the sweep, stored in every entry.
 
     Attributes:
-        entries: all of them, in order.
+        entries: the entries that count, in order.
 
-    Raises: InputError: the log cannot be read or written, or is another sweep's.
+    Raises: InputError: the log cannot be read or written, or belongs to another sweep.
     """
 
     def __init__(self, folder: LocationLike, spec_hash: str) -> None:
@@ -73,7 +73,7 @@ class CommitLog:
             self._take(entry)
 
     def _begin(self) -> None:
-        """The session's entry. A driver that is still alive may commit meanwhile: then the next number is tried."""
+        """Append the session entry. If a running driver commits meanwhile, try the next number."""
         for _ in range(_BEGINNINGS):
             try:
                 self._append("session", (), (), {})
@@ -86,22 +86,19 @@ class CommitLog:
     def commit(self, done: tuple[str, ...], quarantined: tuple[str, ...], tables: dict[str, pa.Table]) -> Commit:
         """Write the segments, then the entry that makes them count.
 
-        Args: done, quarantined: task ids. tables: segment tables by name; empty ones are left out.
+        Args: done, quarantined: task ids. tables: segment tables by name; empty tables are skipped.
 
         Raises:
-            TakenOverError: another driver wrote this entry; these rows are not part of the sweep.
-            InputError: the disk is full; nothing half-written counts.
+            TakenOverError: another driver wrote this entry; the rows are not part of the sweep.
+            InputError: the disk is full; no half-written file counts.
         """
         written = {name: self._write(name, table) for name, table in tables.items() if table.num_rows}
         return self._append("commit", done, quarantined, written)
 
     def compact(self, segment: Callable[[str], pa.Table]) -> Commit:
-        """Write an entry that stands for all that are there, with one segment a table.
+        """Write one entry that replaces all entries, with one segment per table. Raises as `commit`.
 
-        segment: the table of everything that was committed, by its name; asked for one after the other.
-
-        Raises:
-            As `commit`.
+        segment: returns all committed rows of the named table; called for one table after the other.
         """
         names = dict.fromkeys(name for entry in self.entries for name in entry.segments)
         written = {name: self._write(name, segment(name)) for name in names}
@@ -139,7 +136,7 @@ class CommitLog:
         try:
             created = path.put_if_absent(json.dumps(values, indent=1).encode() + b"\n")
         except UncertainError:
-            raise  # the entry may be there: its segments must stay
+            raise  # the entry may exist, so its segments must stay
         except InputError:
             self._discard(segments)
             raise
@@ -163,15 +160,15 @@ class CommitLog:
             (self.folder / "data" / file_name).delete()
 
     def done(self) -> AbstractSet[str]:
-        """Ids of the tasks whose results are committed, up to date for as long as the log is open."""
+        """Return the ids of the tasks with committed results; the set follows later commits of this log."""
         return self._done
 
     def quarantined(self) -> set[str]:
-        """Ids of the tasks that are quarantined and have not succeeded since."""
+        """Return the ids of the quarantined tasks that have not succeeded since."""
         return self._quarantined - self._done
 
     def finished(self) -> set[str]:
-        """Ids of the tasks that are not to be run again: those that are done or quarantined."""
+        """Return the ids of the tasks that are done or quarantined, and so do not run again."""
         return self._done | self._quarantined
 
 
@@ -183,9 +180,9 @@ def _driver_of(path: Location) -> str:
 
 
 def committed_rows(folder: LocationLike, entries: Sequence[Commit], name: str) -> pa.Table:
-    """Every row of one table that was committed, in the order of the log.
+    """Return all committed rows of one table, in the order of the log.
 
-    Raises: InputError: a segment is missing, torn, or of another length than was committed.
+    Raises: InputError: a segment is missing, torn, or has another number of rows than was committed.
     """
     files = [(entry.segments[name], entry.rows[name]) for entry in entries if name in entry.segments]
     data = as_location(folder) / "data"

@@ -1,4 +1,4 @@
-"""Entries of the commit log, as they are read: which there are, what each says, and which of them count.
+"""Reading of the commit log: list the entries, parse each, and select the entries that count.
 
 Source: our choice (design section 9).
 """
@@ -26,9 +26,9 @@ _RESTORE = "Restore the file from a copy, or remove the output folder and run th
 
 @dataclass(frozen=True)
 class Commit:
-    """One entry: the tasks it finished, those it quarantined, and the segment files that hold their rows.
+    """One log entry: the tasks it finished, the tasks it quarantined, and the segment files that hold their rows.
 
-    kind: session (a driver began), commit, or compact, which stands for all entries before it.
+    kind: session (a driver began), commit, or compact (replaces all entries before it).
 
     segments: table name to file name inside ``data/``. rows: table name to number of rows in that file.
     """
@@ -44,21 +44,21 @@ class Commit:
 
 
 def read_log(folder: LocationLike) -> list[Commit]:
-    """The entries that count, in order: all of them, or from the last compaction on, which says what was before it.
+    """Return the entries that count, in order: all entries, or those from the last compaction on.
 
     Raises: InputError: an entry is missing, torn, or of a schema version that this program cannot read.
     """
     log = as_location(folder) / "_log"
     for _ in range(_TRIES):
-        with contextlib.suppress(FileNotFoundError):  # a compaction has just removed what it replaced
+        with contextlib.suppress(FileNotFoundError):  # a compaction has just removed replaced entries
             return _read(log, entry_names(log))
     raise InputError("its entries vanish while they are read", where=str(log), remedy="Run the same command again")
 
 
 def entry_names(log: Location) -> list[str]:
-    """Names of all entries that are there, those that a compaction replaced included, in order. log: the folder _log.
+    """Return the sorted names of all entries, including those that a compaction replaced. log: the folder _log.
 
-    Raises: InputError: a name that no driver gave.
+    Raises: InputError: a name that no driver gives.
     """
     names = [name for name in log.names() if name.endswith(".json") and name[0].isdigit()]
     for name in names:
@@ -76,7 +76,7 @@ def _read(log: Location, names: list[str]) -> list[Commit]:
     compactions = [index for index, entry in enumerate(entries) if entry.kind == "compact"]
     if compactions:
         return entries[compactions[-1] :]
-    # Before the last compaction only sessions are left; without one, every entry counts.
+    # A gap arises only before a compaction. Without one, every entry counts, so the entries begin at 0.
     if entries and entries[0].sequence != 0:
         what = f"entry {entry_name(entries[0].sequence - 1)} is missing"
         raise InputError(what, where=str(log), remedy=_RESTORE)
@@ -84,9 +84,9 @@ def _read(log: Location, names: list[str]) -> list[Commit]:
 
 
 def read_entry(path: Location) -> Commit:
-    """One entry.
+    """Read one entry.
 
-    Raises: FileNotFoundError: it is not there. InputError: it is torn, or of a version that this program cannot read.
+    Raises: FileNotFoundError: no such entry. InputError: it is torn, or of a version that this program cannot read.
     """
     try:
         return entry_of(current_entry(json.loads(path.read_bytes()), str(path)), _number(path.name))
@@ -101,12 +101,12 @@ def _number(name: str) -> int:
 
 
 def entry_name(sequence: int) -> str:
-    """The file of an entry."""
+    """Return the file name of an entry."""
     return f"{sequence:08d}.json"
 
 
 def entry_of(values: dict[str, Any], sequence: int) -> Commit:
-    """An entry of the log's format. Raises ValueError where a value cannot be what a driver writes."""
+    """Return the entry with the given JSON values. Raises ValueError if no driver writes the values."""
     segments, rows = values["segments"], values["rows"]
     texts = [values["driver"], values["spec_hash"], values["done"], values["quarantined"], *segments.values()]
     wrong = (
@@ -114,7 +114,7 @@ def entry_of(values: dict[str, Any], sequence: int) -> Commit:
         or not all(isinstance(text, str) for text in texts)
         or not (segments.keys() == rows.keys() <= set(SEGMENTS))
         or not all(type(count) is int and count >= 0 for count in rows.values())
-        # A segment lies in data/: an entry names no file elsewhere.
+        # Segments are stored in data/, so a path with a folder is wrong.
         or any(PurePath(file).name != file for file in segments.values())
     )
     if wrong:

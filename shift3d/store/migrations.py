@@ -1,7 +1,7 @@
-"""Folders of older programs, read as if this program had written them: a step from each version to the next.
+"""Migration of older schema versions on reading: one step from each version to the next.
 
-Files are never rewritten: a sweep that an older program began goes on in the same folder, whose files then are of
-several versions. Rows and ids mean the same in all of them, so its name and its results stay.
+Files are never rewritten. A sweep that an older program began continues in the same folder, whose files then have
+several versions. Rows and ids mean the same in all versions, so the sweep keeps its name and its results.
 
 Source: our choice.
 """
@@ -21,7 +21,7 @@ Values = dict[str, Any]
 
 
 def _ids_as_text(values: Values) -> Values:
-    """Version 6 writes task ids as one text: a log of a million is read in a second."""
+    """Convert to version 6: task ids are one text, so that a log of a million ids is read in one second."""
     lists = {name: values[name] for name in ("done", "quarantined")}
     if not all(isinstance(ids, list) for ids in lists.values()):
         raise ValueError("ids are no list")
@@ -29,9 +29,9 @@ def _ids_as_text(values: Values) -> Values:
 
 
 def _judged_by_sides(name: str, table: pa.Table) -> pa.Table:
-    """Version 9 measures naturalness; what was called a car before, by another rule, is unknown.
+    """Convert to version 9, which measures naturalness: its columns are null, and the older rule's verdict is dropped.
 
-    Of version 6 `volume_share` and `mirrored` are absent already.
+    Version 6 already lacks `volume_share` and `mirrored`.
     """
     if name == "scores":
         return _with_nulls(table, "depth_error_max_m", _NATURALNESS)
@@ -60,7 +60,7 @@ _NEAREST = {
 
 
 def _with_nulls(table: pa.Table, after: str, columns: Mapping[str, pa.DataType]) -> pa.Table:
-    """The table with columns of nulls behind one of its own."""
+    """Return the table with columns of nulls after the column `after`."""
     place = table.column_names.index(after) + 1
     for offset, (column, kind) in enumerate(columns.items()):
         table = table.add_column(place + offset, column, pa.nulls(len(table), kind))
@@ -68,7 +68,7 @@ def _with_nulls(table: pa.Table, after: str, columns: Mapping[str, pa.DataType])
 
 
 def _searched_by_descent(name: str, table: pa.Table) -> pa.Table:
-    """Version 8 says how a search went: before, each was the paper's."""
+    """Convert to version 8: it stores the search, which was the paper's descent in all older versions."""
     place = table.schema.get_field_index("accuracy")
     if place < 0:
         return table
@@ -77,12 +77,12 @@ def _searched_by_descent(name: str, table: pa.Table) -> pa.Table:
 
 
 def _drawn_as_their_own(name: str, table: pa.Table) -> pa.Table:
-    """Version 10 searches over kinds: before, each code was drawn in the frame of the task's own vehicle."""
+    """Convert to version 10: it searches over kinds; older codes are drawn in the frame of the task's vehicle."""
     return _with_nulls(table, "replicate", {"drawn_as": pa.string()}) if name == "solutions" else table
 
 
 def _random_of_equal_budget(name: str, table: pa.Table) -> pa.Table:
-    """Version 11 names the best of as many draws as a search had evaluations by its budget."""
+    """Convert to version 11: random_budget names the best of as many draws as the search's evaluation budget."""
     place = table.schema.get_field_index("method")
     if place < 0:
         return table
@@ -92,8 +92,7 @@ def _random_of_equal_budget(name: str, table: pa.Table) -> pa.Table:
 
 
 OLDEST_VERSION = 5
-# By the version that wrote them, what makes the next one's of them. Version 7 added columns to one table, all of which
-# version 9 drops again.
+# Converters to the next version, by version. Version 7 added columns to one table; version 9 drops all of them.
 _ENTRIES: Mapping[int, Callable[[Values], Values]] = {5: _ids_as_text}
 _TABLES: Mapping[int, Callable[[str, pa.Table], pa.Table]] = {
     7: _searched_by_descent,
@@ -104,22 +103,21 @@ _TABLES: Mapping[int, Callable[[str, pa.Table], pa.Table]] = {
 
 
 def current_entry(values: Values, where: str) -> Values:
-    """A log entry as this program writes it. Raises as `older_versions`, ValueError or KeyError for what none wrote."""
+    """Migrate a log entry. Raises as `older_versions`; ValueError or KeyError for values that no program wrote."""
     for version in older_versions(values["schema_version"], where):
         values = _ENTRIES[version](values) if version in _ENTRIES else values
     return values
 
 
 def current_table(name: str, table: pa.Table, version: str, where: str) -> pa.Table:
-    """A table, by its name, as this program writes it; its metadata is seen to elsewhere. Raises as `older_versions`,
-    ValueError or KeyError for what no program wrote."""
+    """Migrate the table `name`, except its metadata. Raises as `current_entry`."""
     for number in older_versions(int(version) if version.isdecimal() else version, where):
         table = _TABLES[number](name, table) if number in _TABLES else table
     return table
 
 
 def older_versions(version: object, where: str) -> range:
-    """The versions from one that was found up to the one before this program's; none for its own.
+    """Return the versions from `version` up to the one before the current; empty for the current version.
 
     Raises: InputError: the version is newer than this program, or older than the oldest that it reads.
     """

@@ -1,4 +1,4 @@
-"""Paths and URLs as locations."""
+"""Conversion of paths and URLs to locations."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from shift3d.errors import InputError
 from shift3d.store.location import LocalLocation, Location
 
 LocationLike = Location | Path | str
-"""What functions that read or write a sweep's folder take: a location, a path, or either of them as text."""
+"""Argument of functions that read or write a sweep's folder: a location, a path, or a path or URL as text."""
 
 
 def as_location(place: LocationLike) -> Location:
-    """A path, ``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location. Of text, ~ is the home folder.
+    """Return the location of a path, ``s3://bucket/prefix`` or ``gs://bucket/prefix``. In text, ~ is the home folder.
 
-    Raises: InputError: the text is empty, the URL has no bucket or another scheme, or settings in the environment
-    cannot be used.
+    Raises: InputError: the text is empty, its ~user is unknown, the URL has no bucket or another scheme, or settings in
+    the environment are unusable.
     """
     if isinstance(place, Location):
         return place
     if isinstance(place, str) and not place.strip():
         raise InputError("the name of a folder is empty", remedy="Give one; is a variable of the shell unset?")
     if isinstance(place, str) and "://" in place:
-        from shift3d.store.buckets.object_store import object_location  # late: obstore is not needed for folders
+        from shift3d.store.buckets.object_store import object_location  # late: folders need no obstore
 
         return object_location(place)
     try:
@@ -36,11 +36,11 @@ def as_location(place: LocationLike) -> Location:
 
 @contextlib.contextmanager
 def local_copy(folder: LocationLike, names: Sequence[str]) -> Iterator[Path]:
-    """A folder of this machine that holds the named files and folders of a location, while this is open.
+    """Yield a temporary local folder with copies of the named files and folders, for libraries that read paths only.
 
-    For libraries that read paths alone. A local folder is given as it is, with whatever else it holds.
+    A local folder is yielded itself, with all that it holds.
 
-    Raises: InputError: they cannot be read. FileNotFoundError: a file that was listed is gone.
+    Raises: InputError: the files cannot be read. FileNotFoundError: a listed file is gone.
     """
     location = as_location(folder)
     if isinstance(location, LocalLocation):

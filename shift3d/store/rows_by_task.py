@@ -1,4 +1,4 @@
-"""Rows of a final table, one task at a time: what a task costs does not grow with the number of tasks."""
+"""Rows of a final table by task: the cost per task does not grow with the number of tasks."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from shift3d.store.tables import read_table
 
 
 class RowsByTask:
-    """A table of ``final/``, in which the rows of a task stand together.
+    """Table of ``final/`` in which the rows of a task are contiguous.
 
-    Where they stand is looked up once. Then the row groups of a task are read, and held for the next one: neighbours in
-    a plan share them. A file that is far away is fetched once.
+    The constructor looks up the row range of each task. `of` reads the row groups of a task and caches them, since
+    neighbouring tasks of a plan share row groups. A remote file is fetched once.
 
-    Raises: InputError as `read_table`, also where rows are asked for.
+    Raises: InputError as `read_table`; `of` raises it too.
     """
 
     def __init__(self, path: LocationLike, name: str) -> None:
@@ -29,7 +29,7 @@ class RowsByTask:
         self._held: tuple[range, pa.Table] = range(0), read_table(path, name, self._content, self._index)
 
     def _index(self, source: Any) -> pa.Table:
-        """Note where tasks and row groups stand. Returns no row, whose schema is checked."""
+        """Store the row ranges of tasks and row groups. Returns an empty table, for the schema check."""
         with pq.ParquetFile(source, page_checksum_verification=True) as file:
             counts = [file.metadata.row_group(group).num_rows for group in range(file.num_row_groups)]
             ids = file.read(["task_id"])["task_id"].combine_chunks().dictionary_encode()
@@ -42,7 +42,7 @@ class RowsByTask:
         return none
 
     def of(self, task_id: str) -> list[dict[str, Any]]:
-        """Rows of a task, in their order."""
+        """Return the rows of a task, in their order."""
         if task_id not in self._places:
             return []
         first, after = self._places[task_id]

@@ -1,4 +1,4 @@
-"""Arrow schemas of what a sweep writes (design section 5), from ``tables.toml``; their metadata has the version."""
+"""Arrow schemas of a sweep's tables (design section 5), from ``tables.toml``; their metadata holds the version."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ SCHEMA_VERSION: int = _FILE["version"]
 _GROUPS: dict[str, str] = _FILE["groups"]
 _COLUMNS = {name: text.partition(", ") for name, text in _FILE["columns"].items()}
 MEANINGS: dict[str, str] = {name: meaning for name, (_, _, meaning) in _COLUMNS.items()}
-"""What each column means, by name."""
+"""Meaning of each column, by name."""
 ABOUT: dict[str, str] = {name: table["about"] for name, table in _FILE["tables"].items()}
-"""What each table holds, by name."""
+"""Description of each table, by name."""
 
 
 def schema_of_columns(name: str, version: int, columns: str, types: Mapping[str, str] | None = None) -> pa.Schema:
-    """A schema with its name and version in the metadata.
+    """Return a schema with its name and version in the metadata.
 
-    columns: ``NAME`` or ``NAME:TYPE``, a question mark behind it where it may be null, separated by white space; TYPE
-    is Arrow's name, or ``list-of-TYPE``. types: of the columns that have none here; string where it names none.
+    columns: ``NAME`` or ``NAME:TYPE``, separated by white space, a question mark after nullable ones; TYPE is Arrow's
+    name or ``list-of-TYPE``. types: types of the columns that state none; string for names that it lacks.
     """
     fields = []
     for word in columns.split():
@@ -48,22 +48,22 @@ def _names(*groups: str) -> tuple[str, ...]:
 
 
 SPEC_COLUMNS = _names("task", "settings")
-"""Columns that the spec of a task determines: filled in by the sweep."""
+"""Columns that the spec of a task determines; the sweep fills them in."""
 POSE_COLUMNS = _names("pose")
 """x, y, z, yaw, pitch and roll of an object, in the order of theta (6,)."""
 GROUP_COLUMNS = _names("group")
-"""What distinguishes the groups of tasks that a curve, an AUC or a grid is taken over."""
-# Written by commits, task by task. A table that a folder does not have is empty: those that came later than the first
-# ones need no new version, and folders without them stay readable.
+"""Columns that distinguish the task groups of a curve, an AUC or a grid."""
+# Tables that commits write, task by task. A table that a folder lacks is empty: tables added later need no new version,
+# and folders without them stay readable.
 SEGMENTS = (
     *("scores", "solutions", "timings", "verification", "trajectories", "transfers", "shapes", "vehicle_pool"),
     *("retrieved", "patterns", "attempts"),
 )
 FOLLOW_UPS = ("verification", "vehicle_pool", "retrieved", "patterns")
-"""Those that commands of their own make of a sweep that has finished."""
+"""Tables that separate commands make from a finished sweep."""
 SWEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
-"""Those that a sweep itself makes."""
-# Computed from the plan and the scores when a sweep has finished.
+"""Tables that the sweep itself makes."""
+# Tables computed from the plan and the scores at the end of a sweep.
 AGGREGATES = tuple(name for name in _FILE["tables"] if name not in SEGMENTS)
 _TYPES = {name: kind for name, (kind, _, _) in _COLUMNS.items()}
 SCHEMAS: dict[str, pa.Schema] = {

@@ -1,4 +1,4 @@
-"""Rows to Arrow tables, and Arrow tables to Parquet files whose bytes depend on their content alone."""
+"""Conversion of rows to Arrow tables, and Parquet files whose bytes depend only on the table's content."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _RESTORE = "Restore it from a copy, or remove the output folder and run the swee
 
 
 def table_from_rows(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Rows as a table of the sweep's schema ``name``. Raises: ValueError as `table_of`."""
+    """Return rows as a table of the sweep schema ``name``. Raises ValueError as `table_of`."""
     return table_of(SCHEMAS[name], rows)
 
 
 def table_of(schema: pa.Schema, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Rows of plain Python or NumPy values as a table of a schema; columns that may be null may be left out.
+    """Return rows of plain Python or NumPy values as a table of a schema; rows may omit nullable columns.
 
-    Raises: ValueError: a row has an unknown column, lacks one that may not be null, or holds a value of another type.
-        It is the task's defect, so the message names the column, and no file is touched.
+    Raises: ValueError: a row has an unknown column, lacks a non-nullable one, or holds NaN, infinity or a value of
+    another type. The task is at fault, so the message names the column and no file.
     """
     name, names = schema.metadata[b"shift3d.schema"].decode(), set(schema.names)
     for row in rows:
@@ -57,17 +57,19 @@ def _plain(value: Any) -> Any:
 
 
 def write_table(path: LocationLike, table: pa.Table) -> None:
-    """Write a Parquet file atomically. The same table content gives the same bytes.
+    """Write a Parquet file atomically. Equal tables give equal bytes.
 
     Raises: InputError: the disk is full or not writable.
     """
-    # One chunk, fixed row groups and no threads' choice in them.
+    # One chunk and fixed row groups, so that threads do not influence the bytes.
     as_location(path).write_atomic(parquet_bytes(table.combine_chunks(), row_group_size=_ROW_GROUP))
 
 
 def parquet_bytes(table: pa.Table, **options: Any) -> bytes:
-    """A table as Parquet, compressed, with checksums: a flipped bit in compressed numbers would else be read as other
-    numbers. options: of pyarrow's `write_table`."""
+    """Return a table as compressed Parquet with checksums: without them, a flipped bit would be read as other numbers.
+
+    options: of pyarrow's `write_table`.
+    """
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd", write_page_checksum=True, **options)
     content: bytes = sink.getvalue().to_pybytes()
@@ -81,12 +83,10 @@ def _whole(source: Any) -> pa.Table:
 def read_table(
     path: LocationLike, name: str, content: bytes | None = None, read: Callable[[Any], pa.Table] = _whole
 ) -> pa.Table:
-    """Read a Parquet file and check that it holds the schema ``name`` of `SCHEMA_VERSION`.
+    """Read a Parquet file, migrate it to `SCHEMA_VERSION`, and check that it has the schema ``name``.
 
-    content: the file's bytes, where the caller has them. read: reads rows, all columns of them, of what pyarrow takes
-    for a file.
-
-    Raises: InputError: the file is missing, torn, or of another schema or version.
+    content: bytes of the file, if the caller has them. read: reads rows with all columns from a source for pyarrow.
+    Raises: InputError: the file is missing, torn, or of another schema or an unreadable version.
     """
     table, found, version = read_parquet(path, _RESTORE, content, read)
     if found != name:
@@ -98,7 +98,7 @@ def read_table(
 
 
 def read_final(folder: LocationLike, name: str) -> pa.Table:
-    """A table of ``final/`` of a sweep. Raises: InputError as `read_table`, and where the sweep has not finished."""
+    """Read a table of a sweep's ``final/``. Raises InputError as `read_table`, or if the sweep has not finished."""
     path = as_location(folder) / "final" / f"{name}.parquet"
     if not path.is_file():
         raise InputError("the sweep is not finished", str(folder), "Run its command again: it resumes")
@@ -108,9 +108,9 @@ def read_final(folder: LocationLike, name: str) -> pa.Table:
 def read_parquet(
     path: LocationLike, remedy: str, content: bytes | None = None, read: Callable[[Any], pa.Table] = _whole
 ) -> tuple[pa.Table, str, str]:
-    """A Parquet file of ours, and the schema and the version that its metadata name.
+    """Read a Parquet file of shift3d. Return the table, and the schema name and version from its metadata.
 
-    content, read: as of `read_table`. Raises: InputError with the remedy: the file is missing or torn.
+    content, read: see `read_table`. Raises: InputError with the remedy: the file is missing or torn.
     """
     location = as_location(path)
     try:
@@ -118,10 +118,10 @@ def read_parquet(
         if source is None:
             source = location.path if isinstance(location, LocalLocation) else pa.BufferReader(location.read_bytes())
         table = read(source)
-        table = table.select(table.column_names)  # a damaged name may be no text
+        table = table.select(table.column_names)  # raises if a damaged column name is no text
     except FileNotFoundError as error:
         raise InputError("is missing", str(path), remedy) from error
-    except (OSError, pa.ArrowException, ValueError, KeyError) as error:  # a damaged header has many ways to fail
+    except (OSError, pa.ArrowException, ValueError, KeyError) as error:  # a damaged header raises any of these
         raise InputError(f"cannot be read as Parquet ({type(error).__name__})", str(path), remedy) from error
     metadata = table.schema.metadata or {}
     schema, version = (
@@ -132,7 +132,7 @@ def read_parquet(
 
 
 def check_table(table: pa.Table, schema: pa.Schema, path: LocationLike, remedy: str = _RESTORE) -> None:
-    """Refuse a table that has not a schema's columns and types, or lacks values, or holds NaN or infinity.
+    """Refuse a table whose columns or types differ from a schema, that lacks values, or that holds NaN or infinity.
 
     Raises: InputError: naming the file and the column.
     """

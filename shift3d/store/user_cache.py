@@ -1,4 +1,4 @@
-"""The user's cache folder: what is kept there can be made again, by the program whose digest its name holds."""
+"""User cache folder for recomputable files, each named by a digest of the inputs and the program that make it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shift3d.errors import InputError
 from shift3d.processor import rounding
 from shift3d.store.atomic import write_atomic
 
-# Libraries that the last bits of scenes, meshes and scores may depend on.
+# Libraries that can change the last bits of scenes, meshes and scores.
 _LIBRARIES = (
     "torch",
     "numpy",
@@ -28,22 +28,22 @@ _LIBRARIES = (
 
 
 def user_cache() -> Path:
-    """``shift3d`` in XDG_CACHE_HOME, or in ~/.cache; it may not be there yet."""
+    """Return ``shift3d`` in XDG_CACHE_HOME or ~/.cache; the folder may not exist yet."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shift3d"
 
 
 def kept_file(folder: str, *made_of: object) -> Path:
-    """The file of the cache folder for what these make, see `digest_of`, as this machine rounds."""
+    """Return the cache file of a result. made_of: its inputs, see `digest_of`; this machine's `rounding` is added."""
     return user_cache() / folder / digest_of(*made_of, rounding())
 
 
 def digest_of(*made_of: object) -> str:
-    """A file's name for what these make, each told by its `repr`."""
+    """Return a file name: the digest of the inputs, each given by its `repr`."""
     return _digest(repr(made_of).encode())
 
 
 def read_kept(file: Path) -> bytes | None:
-    """What `write_kept` wrote; None where there is no such file, or one that is torn or has changed since."""
+    """Return the content that `write_kept` wrote; None if the file is absent, torn or changed."""
     try:
         digest, _, content = file.read_bytes().partition(b"\n")
     except OSError:
@@ -52,13 +52,13 @@ def read_kept(file: Path) -> bytes | None:
 
 
 def keep(file: Path, content: bytes) -> None:
-    """Write what can be made again, with its digest. A folder that cannot be written is done without."""
+    """Write a recomputable result with its digest. An unwritable folder is ignored."""
     with contextlib.suppress(InputError, OSError):
         write_kept(file, content)
 
 
 def write_kept(file: Path, content: bytes) -> None:
-    """`keep` where work would be lost. Raises: InputError: the disk is full or not writable."""
+    """Write like `keep`, for results that cost work. Raises: InputError: the disk is full or not writable."""
     write_atomic(file, _digest(content).encode() + b"\n" + content)
 
 
@@ -68,7 +68,7 @@ def _digest(content: bytes) -> str:
 
 @functools.cache
 def source_digest(*parts: str) -> str:
-    """BLAKE2b of the source and the data tables of parts of the package, such as ``scenes`` or ``seeding.py``."""
+    """Return the BLAKE2b digest of the source and data tables of package parts such as ``scenes`` or ``seeding.py``."""
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.blake2b(digest_size=16)
     for part in map(package.joinpath, parts):
@@ -80,6 +80,6 @@ def source_digest(*parts: str) -> str:
 
 @functools.cache
 def program_digest(*parts: str) -> str:
-    """BLAKE2b of `source_digest` and of the versions of the libraries that what is kept is made with."""
+    """Return the BLAKE2b digest of `source_digest` and of the versions of the libraries that compute cached results."""
     libraries = [f"{library} {importlib.metadata.version(library)}" for library in _LIBRARIES]
     return hashlib.blake2b("\n".join([*libraries, source_digest(*parts)]).encode(), digest_size=16).hexdigest()

@@ -1,1 +1,1 @@
-"""The sweep service: plan, run, commit, and the final tables."""
+"""Sweep service: planning, execution, commits, and final tables."""

@@ -1,4 +1,4 @@
-"""The driver: plan, run what is left, commit, and write the final tables."""
+"""Sweep driver: run the remaining tasks of a plan, commit their results, and write the final tables."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from shift3d.sweep.status import State, StatusWriter
 
 
 def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
-    """Positions in a plan, scene by scene and pose attacks before shape attacks wherever neighbours share a vehicle.
+    """Order plan positions scene by scene, and pose before shape attacks, within each run of tasks of one vehicle.
 
-    A pose attack takes about two thirds of a shape attack's time and makes no mesh, so a sweep's first result is there
-    sooner. Tasks of a vehicle stay together, of these the tasks of a scene: a worker prepares each vehicle once, and
-    measures its baseline in a scene once. Otherwise in plan order.
+    A pose attack takes about two thirds of a shape attack's time and makes no mesh, so the first result of a sweep
+    comes sooner. Tasks of a vehicle stay together, and among these the tasks of a scene: a worker prepares each vehicle
+    once, and measures its baseline in a scene once. Otherwise the plan order is kept.
 
     Args: positions: ascending.
 
@@ -52,7 +52,7 @@ def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
     is_shape = np.array([template.mode == "shape" for template in tasks.templates], dtype=np.int64)
     template = tasks.template[positions]
     runs = np.cumsum(np.diff(vehicle[template], prepend=-1) != 0)
-    # In the order in which the plan comes to them. Tasks that are put into other scenes, too, stand in the same one.
+    # Scenes are numbered in plan order. Task scenes that differ only in their transfer scenes are one scene.
     _, number = numbered(read_task_scene(text)[:2] for text in tasks.task_scenes.to_pylist())
     _, first, scene = np.unique(number[tasks.task_scene[positions]], return_index=True, return_inverse=True)
     return positions[np.lexsort((is_shape[template], first[scene], runs))]
@@ -63,10 +63,10 @@ Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
 
 @dataclass(frozen=True)
 class SweepResult:
-    """How a sweep ended.
+    """Result of a sweep run.
 
-    final: None where it was interrupted. left: tasks that the same call would run again. seconds: of this driver,
-    planning excluded. reused: tasks whose results this driver took over from other sweeps. ran: tasks that it ran.
+    final: None if the run was interrupted. left: tasks that the same call would run again. seconds: of this driver,
+    without planning. reused: tasks whose results were copied from other sweeps. ran: tasks that this driver ran.
     """
 
     folder: Location
@@ -89,18 +89,18 @@ def run_sweep(
     retry_quarantined: bool = False,
     reuse: Sequence[LocationLike] = (),
 ) -> SweepResult:
-    """Run what a plan has left to run, and write ``final/``.
+    """Run the remaining tasks of a plan, and write ``final/``.
 
-    finish: writes the final tables from (folder, plan, log entries) when everything has run. retry_quarantined: tasks
-    that earlier runs quarantined are left to run, too. reuse: folders of other sweeps, whose results of the same tasks
-    are taken over first.
+    finish: writes the final tables from (folder, plan, log entries) once all tasks have run. retry_quarantined: also
+    run tasks that earlier runs quarantined. reuse: other sweeps' folders, whose results of the same tasks are first
+    copied.
 
     The first Ctrl-C (or SIGTERM) lets the tasks in flight finish and commits them, the second one drops them.
 
     Raises:
-        InputError: the folder is another sweep's, another driver took over, the disk is full, or the tasks'
-            assets cannot be loaded. What was committed stays.
-        AbortedError: too much failed to go on.
+        InputError: the folder belongs to another sweep, another driver took over, the disk is full, or the assets of
+            the tasks cannot be loaded. Committed results stay.
+        AbortedError: too many tasks failed.
     """
     began = time.monotonic()
     folder = as_location(folder)
@@ -121,7 +121,7 @@ def run_sweep(
             committer = Committer(log, runner_config.commit_seconds)
             came = _run(runner, cheapest_first(plan.tasks, left), committer, progress, status, rule)
     done, quarantined = log.done(), log.quarantined()
-    # A task that was to be tried again and was not is still quarantined by the earlier run.
+    # A quarantined task that was to be retried, but was not, is still quarantined by the earlier run.
     complete = len(done) + len(quarantined) == len(plan.tasks) and (came >= len(left) or not again)
     final = finish(folder, plan, log.entries) if complete else None
     seconds = time.monotonic() - began
@@ -133,9 +133,9 @@ def run_sweep(
 def _runner(
     kind: TaskKind, plan: Plan, config: RunnerConfig, left: np.ndarray, tried: dict[int, int], status: StatusWriter
 ) -> Iterator[Runner]:
-    """The runner, closed at the end. One that cannot be made is told, too: nobody else would say that it stopped.
+    """Prepare what the workers share, and yield the runner, which is closed at the end.
 
-    Before it is made, what its workers share is.
+    If preparation or start fails, the status file says "stopped": no other process would report it.
     """
     try:
         if kind.prepare:
@@ -153,11 +153,11 @@ def _runner(
 
 
 def _tried(log: CommitLog, plan: Plan, again: set[str]) -> dict[int, int]:
-    """Attempts so far of the tasks that are tried again, by position: their numbers go on."""
+    """Return the earlier attempts of the tasks to retry, by position, so that attempt numbers continue."""
     if not again:
         return {}
     attempts = segments_in_plan_order(log.folder, log.entries, "attempts", plan)
-    last = dict(zip(attempts["task_id"].to_pylist(), attempts["attempt"].to_pylist()))  # in the order of attempts
+    last = dict(zip(attempts["task_id"].to_pylist(), attempts["attempt"].to_pylist()))  # the last attempt wins
     found = pc.index_in(pa.array(sorted(again), type=pa.string()), value_set=plan.tasks.ids).to_pylist()
     return {position: last.get(task, 0) for task, position in zip(sorted(again), found) if position is not None}
 
@@ -165,8 +165,7 @@ def _tried(log: CommitLog, plan: Plan, again: set[str]) -> dict[int, int]:
 def _run(
     runner: Runner, left: np.ndarray, committer: Committer, progress: Progress, status: StatusWriter, rule: AbortRule
 ) -> int:
-    """Run tasks until all came back or somebody asks to stop; how many came back. Raises AbortedError where too much
-    failed."""
+    """Run tasks until all have an outcome or the user stops. Return their number. Raises AbortedError, InputError."""
     state: State = "stopped"
     came = 0
     failure: InputError | None = None
@@ -189,7 +188,7 @@ def _run(
         except KeyboardInterrupt:
             state = "interrupted"
         except TakenOverError:
-            raise  # this driver has no say any more, in the status neither
+            raise  # the other driver writes the status
         except InputError as error:
             failure = error
         if stop.second.is_set() and failure is None:
@@ -210,7 +209,7 @@ def _run(
 def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
     """Run the task whose id begins with ``task_id``, and return its scores and timings as text.
 
-    Raises: InputError: no task of the plan, or several, have such an id. Whatever the task itself raises.
+    Raises: InputError: no task of the plan, or several, match. Exceptions of the task pass through.
     """
     task = plan.tasks.one(task_id, f"sweep {plan.sweep}")
     planned = plan.assets[task.assets]
@@ -225,7 +224,7 @@ def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
 
 
 class _Stop:
-    """What SIGINT and SIGTERM ask for. first: give out no more tasks. second: do not wait for those in flight."""
+    """Stop requests from SIGINT and SIGTERM. first: give out no more tasks. second: drop the tasks in flight."""
 
     def __init__(self, progress: Progress) -> None:
         self.first, self.second = threading.Event(), threading.Event()
@@ -233,9 +232,9 @@ class _Stop:
         self._waits = False
 
     def handle(self, number: int, frame: FrameType | None) -> None:
-        """The second one raises KeyboardInterrupt as well, but only while a runner is waited for: a task may take long.
+        """Count a signal; the second raises KeyboardInterrupt during a wait for the runner, as a task may take long.
 
-        A commit is never cut short, since nobody could say afterwards whether it took place.
+        A commit is never interrupted, since nobody could tell afterwards whether it took place.
         """
         if not self.first.is_set():
             self.first.set()
@@ -246,7 +245,7 @@ class _Stop:
                 raise KeyboardInterrupt
 
     def waited(self, outcomes: Iterator[BatchOutcome]) -> Iterator[BatchOutcome]:
-        """The same outcomes. Raises KeyboardInterrupt while the next one is waited for."""
+        """Yield the same outcomes. A wait for the next one may raise KeyboardInterrupt."""
         while True:
             self._waits = True
             try:

@@ -1,4 +1,4 @@
-"""What is done with a finished sweep's solutions, task by task: a sweep of its own, whose table its folder gets."""
+"""Follow-ups: sweeps over the solutions of a finished sweep, whose folder gets the resulting table."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from shift3d.task.spec import TaskSpec
 
 
 def solved_tasks(folder: LocationLike) -> Plan:
-    """The tasks of a finished sweep that have solutions, in its order.
+    """Return the plan of a finished sweep's tasks that have solutions, in its order.
 
-    Raises: InputError: the folder is not a sweep's, it has not finished, or nothing in it was scored.
+    Raises: InputError: the folder is not a sweep's, the sweep has not finished, or no task has a solution.
     """
     folder = as_location(folder)
     plan = read_plan(folder)
-    read_final(folder, "scores")  # damaged, it would fail every task
+    read_final(folder, "scores")  # checked first: a damaged table would fail every task
     solved = pc.unique(read_final(folder, "solutions")["task_id"])
     tasks = plan.tasks.select(np.flatnonzero(pc.is_in(plan.tasks.ids, value_set=solved).to_numpy(zero_copy_only=False)))
     if not len(tasks):
@@ -44,12 +44,12 @@ def solved_tasks(folder: LocationLike) -> Plan:
 
 
 def follow_up_kind(run: Callable[[TaskSpec, Any], TaskResult], load: Callable[[AssetsSpec], Any]) -> TaskKind:
-    """A task about another one's solutions. run, load: see `TaskKind`."""
+    """Return the kind of a task that uses another task's solutions. run, load: see `TaskKind`."""
     return TaskKind(run=run, load=load, catalogue=read_catalogue, single=False)
 
 
 def follow_up_tables(table: str) -> Finish:
-    """What writes a table, timings and attempts into the ``final/`` of the folder that they were made in."""
+    """Return the function that writes a table, timings and attempts into ``final/`` of the follow-up's folder."""
 
     def finish(own: Location, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
         names = (table, "timings", "attempts")
@@ -64,10 +64,11 @@ def follow_up_tables(table: str) -> Finish:
 def follow_up(
     folder: Location, plan: Plan, runner: RunnerConfig, kind: TaskKind, own: Location, table: str
 ) -> SweepResult:
-    """Run what is left of it in a folder of its own, and put its table into the sweep's ``final/``.
+    """Run the remaining tasks of a follow-up in the folder `own`, and write its table into ``final/`` of the sweep.
 
-    Exactly once, resumable and to the same bytes, as a sweep. folder: the sweep's. plan: of `solved_tasks`.
-    Raises: InputError as `run_sweep`, and where it was begun when other tasks of its sweep had solutions.
+    Like a sweep, it runs each task exactly once, and resumes to the same bytes. folder: of the sweep. plan: of
+    `solved_tasks`.
+    Raises: InputError as `run_sweep`, or if the follow-up was begun when other tasks of its sweep had solutions.
     """
     if (own / "spec.yaml").is_file() and read_spec(own)["spec_hash"] != plan.spec_hash:
         what = "was begun before further tasks of the sweep had solutions"
@@ -79,10 +80,10 @@ def follow_up(
 
 
 def verify_sweep(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepResult:
-    """Verify what is left of a finished sweep's solutions, and put the result into its final tables.
+    """Verify the remaining solutions of a finished sweep, and add the result to its final tables.
 
     plan: of `solved_tasks`.
-    Raises: InputError: as `follow_up`; a segment of the sweep is damaged, which is found before anything runs.
+    Raises: InputError: as `follow_up`; a segment of the sweep is damaged, which is checked before any task runs.
     """
     from shift3d.task.follow_ups.verify import load_verify_assets, verify_task
 
@@ -95,7 +96,7 @@ def verify_sweep(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> Swee
 
 
 def measure_patterns(folder: LocationLike, runner: RunnerConfig) -> SweepResult:
-    """Measure what is left of a finished sweep's solutions, and write ``final/patterns.parquet``.
+    """Measure the meshes of a finished sweep's remaining solutions, and write ``final/patterns.parquet``.
 
     Raises: InputError as `follow_up` and `solved_tasks`.
     """

@@ -1,7 +1,7 @@
-"""The natural kin of a finished sweep's shapes: a pool of vehicles from scenes, and its nearest ones scored in place.
+"""Retrieval of natural vehicles near a finished sweep's shapes: a pool of vehicles from scenes, and its nearest scored.
 
-Both are sweeps of their own: the pool's tasks are scenes, in a folder of its own that any sweep may use; the others are
-the sweep's tasks, in its folder.
+Both steps are sweeps. The tasks of the pool are scenes, in a separate folder that any sweep may use; the tasks of the
+scoring are the sweep's tasks, in its folder.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 
 FOLDER = "retrieval"
-"""Where retrievals lie in their sweep's folder, one a pool: a sweep's folders themselves, each with a log."""
+"""Folder of the retrievals in a sweep's folder; each pool has a subfolder, a sweep's folder with a log."""
 _POOL, _RETRIEVED = "vehicle_pool", "retrieved"
 _VERSION = 2
-"""Raised when a crop comes to another fit under the same settings: part of the name that a pool's hash is made from."""
+"""Part of the pool's name and so of its hash; raised when a crop gets another fit under the same settings."""
 
 
 def pool_plan(plan: Plan) -> Plan:
-    """The pool of the scenes of a sweep's plan: one task a scene, the first that is in it.
+    """Return the plan of the pool for the scenes of a sweep's plan: one task per scene, the first in that scene.
 
-    Raises: InputError: two scenes have one name, by which a pool tells them apart.
+    Raises: InputError: two scenes of a data set have one name, by which a pool distinguishes scenes.
     """
     first: dict[tuple[str, str], tuple[int, str]] = {}
     for position, task in enumerate(plan.tasks):
@@ -41,9 +41,9 @@ def pool_plan(plan: Plan) -> Plan:
 
 
 def build_pool(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepResult:
-    """Fit what is left of a pool's scenes, and write ``final/vehicle_pool.parquet``. plan: of `pool_plan`.
+    """Fit vehicles in the remaining scenes of a pool, and write ``final/vehicle_pool.parquet``. plan: of `pool_plan`.
 
-    Exactly once, resumable and to the same bytes, as a sweep. Raises: InputError as `run_sweep`.
+    Like a sweep, it runs each task exactly once, and resumes to the same bytes. Raises: InputError as `run_sweep`.
     """
     from shift3d.task.follow_ups.vehicle_pool import load_pool_assets, pool_task
 
@@ -51,11 +51,12 @@ def build_pool(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepR
 
 
 def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> SweepResult:
-    """Score the kin of a finished sweep's shapes, and write ``vehicle_pool`` and ``retrieved`` into its ``final/``.
+    """Score the pool vehicles nearest to a sweep's shapes; write ``vehicle_pool`` and ``retrieved`` into its
+    ``final/``.
 
-    folder: of the sweep. pool: of a finished pool, whose codes are of the same decoder.
-    Exactly once, resumable and to the same bytes, as a sweep.
-    Raises: InputError as `run_sweep`, and for a sweep or a pool that has not finished, or of different decoders.
+    folder: of the finished sweep. pool: of a finished pool, whose codes are of the same decoder. Like a sweep, it runs
+    each task exactly once, and resumes to the same bytes.
+    Raises: InputError as `run_sweep`, or if sweep or pool has not finished, or their decoders differ.
     """
     from shift3d.task.follow_ups.retrieval import load_retrieval_assets, retrieval_task
 
@@ -65,7 +66,7 @@ def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> 
     content, final = _pool_bytes(pool), folder / "final"
     kept = final / f"{_POOL}.parquet"
     if kept.is_file() and kept.read_bytes() != content:
-        (final / f"{_RETRIEVED}.parquet").delete()  # of another pool's vehicles: that pool's own folder has it, too
+        (final / f"{_RETRIEVED}.parquet").delete()  # of another pool, whose retrieval folder keeps a copy
     kept.write_atomic(content)
     digest = hashlib.blake2b(content, digest_size=6).hexdigest()
     kind = follow_up_kind(retrieval_task, load_retrieval_assets)
@@ -73,7 +74,7 @@ def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> 
 
 
 def check_decoders(plan: Plan, pool: Plan, where: str) -> None:
-    """Raises InputError where a pool's codes are of another decoder than the sweep's. where: the pool's folder."""
+    """Raise InputError if a pool's codes are of another decoder than the sweep's. where: the pool's folder."""
     ours, theirs = ({assets.hashes.get("decoder") for assets in one.assets} for one in (plan, pool))
     if ours != theirs:
         raise InputError(

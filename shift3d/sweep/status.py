@@ -1,7 +1,7 @@
-"""How a sweep is going, for another shell or machine.
+"""Status of a sweep, for another shell or machine.
 
-The driver leaves ``status.json`` beside the log every few seconds: what runs now, and how fast. It is only a
-note: what is done is counted from the log.
+The driver writes ``status.json`` beside the log every few seconds: the calls in flight and the speed. The file is
+informative only: finished tasks are counted from the log.
 
 Source: our choice.
 """
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 _FILE = "status.json"
 _EVERY_S = 3.0
-# A driver writes more often than this, a long commit included.
+# A driver writes more often than this, even during a long commit.
 _SILENT_S = 60.0
-# Clocks of machines that ask for the time agree better than this.
+# Clocks that are synchronized agree better than this.
 _CLOCKS_DIFFER_S = 5.0
 _SHOWN = 8
 
@@ -40,7 +40,7 @@ State = Literal["starting", "running", "finished", "interrupted", "stopped"]
 
 
 class StatusWriter:
-    """Writes what the driver of a sweep is doing. log: of this driver. planned: tasks of the whole sweep."""
+    """Writer of the status file of a driver. log: of this driver. planned: tasks of the whole sweep."""
 
     def __init__(self, log: CommitLog, planned: int) -> None:
         self._log = log
@@ -54,16 +54,16 @@ class StatusWriter:
         self._left_out: Sequence[str] = ()
 
     def left_out(self, lines: Sequence[str]) -> None:
-        """Machines that can run no task, a line each."""
+        """Set the lines on machines that can run no task."""
         self._left_out = lines
 
     def finished(self, tasks: int, peak_mb: float) -> None:
-        """Tasks that came to an end, one way or the other. peak_mb: memory of the worker that had them."""
+        """Count tasks that are done or quarantined. peak_mb: memory of the worker that ran them."""
         self._finished += tasks
         self._peak_mb = max(self._peak_mb, peak_mb)
 
     def write(self, running: Sequence[Running], workers: int, state: State = "running") -> None:
-        """Write it, unless that was just done. It never ends a sweep: without a status the log still counts."""
+        """Write the file, unless it was just written. A failure is ignored: the log counts without a status."""
         if len(self._log.entries) != self._entries:
             self._entries, self._committed_unix_s = len(self._log.entries), time.time()
         now = time.monotonic()
@@ -95,10 +95,10 @@ class StatusWriter:
 
 @dataclass(frozen=True)
 class SweepStatus:
-    """How far a sweep is, by its log, and what its driver last wrote (None where nothing readable is there).
+    """Progress of a sweep by its log, and the last status of its driver (`progress`; None if there is no readable one).
 
-    commits: since the log was compacted, where it was. driver: of the last log entry; None where that is a compaction,
-    whose process ended with it.
+    commits: since the compaction of the log, if there was one. driver: of the last log entry; None if that is a
+    compaction, whose process has ended.
     """
 
     sweep: str
@@ -112,12 +112,12 @@ class SweepStatus:
 
     @property
     def left(self) -> int:
-        """Tasks that are neither done nor quarantined."""
+        """Number of tasks that are neither done nor quarantined."""
         return self.planned - self.done - self.quarantined
 
 
 def read_status(folder: LocationLike) -> SweepStatus:
-    """The status of the sweep in ``folder``.
+    """Return the status of the sweep in ``folder``.
 
     Raises: InputError: the folder is not a sweep's, or its log is damaged.
     """
@@ -142,10 +142,10 @@ def read_status(folder: LocationLike) -> SweepStatus:
 
 
 def _by_this_clock(folder: Location, progress: dict[str, Any] | None) -> dict[str, Any] | None:
-    """What a driver wrote, its times as this machine's clock has them.
+    """Return a driver's status with times by this machine's clock.
 
-    One elsewhere that seems silent, or to write in the future, may have a clock that is hours off: whether it writes
-    again tells. That takes some seconds.
+    A remote driver that seems silent, or to write in the future, may have a clock that is hours off. The function waits
+    some seconds to see if the driver writes again.
     """
     if progress is None or progress["state"] not in ("starting", "running") or _is_here(progress):
         return progress
@@ -178,7 +178,7 @@ def _read_progress(folder: Location) -> dict[str, Any] | None:
 
 
 def status_lines(status: SweepStatus) -> str:
-    """What ``shift3d sweep status`` prints."""
+    """Return the text that ``shift3d sweep status`` prints."""
     share = (status.done + status.quarantined) / max(status.planned, 1)
     lines = [
         f"{status.sweep}: {status.done} of {counted(status.planned, 'task')} done ({share:.0%}), "
@@ -212,7 +212,7 @@ def _commits(status: SweepStatus) -> str:
 
 
 def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
-    """running, or why not. A driver on this machine is looked for; of one elsewhere only its silence tells."""
+    """Return "running" or why not. A driver on this machine is looked up; a remote one is judged by its silence."""
     awake = progress["state"] in ("starting", "running")
     if not status.left and (not awake or status.driver != progress["driver"]):
         return "finished"
@@ -221,7 +221,7 @@ def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
     if not awake:
         return str(progress["state"])
     here = _is_here(progress)
-    # Its number may be another process's by now: after a reboot, and in a container that was started again.
+    # Another process may have the id after a reboot, or in a container that was restarted.
     began = _began(progress["pid"]) if here else None
     if here and (began is None or progress.get("pid_began", began) != began):
         return "dead; the same command resumes"
@@ -232,9 +232,9 @@ def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
 
 
 def _began(pid: int) -> str | None:
-    """When a process of this machine began, in the kernel's ticks since boot; None where there is none, or no /proc."""
+    """Return the start of a local process in kernel ticks since boot; None without the process or /proc."""
     try:
         state = Path(f"/proc/{pid:d}/stat").read_text()
     except OSError:
         return None
-    return state.rpartition(")")[2].split()[19]  # the name, in brackets, may hold anything
+    return state.rpartition(")")[2].split()[19]  # the name, in brackets, may contain anything

@@ -1,1 +1,1 @@
-"""Folders in S3 and GCS, and what their errors say to a reader."""
+"""Folders in S3 and Google Cloud Storage, and readable messages for their errors."""

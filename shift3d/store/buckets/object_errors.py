@@ -1,4 +1,4 @@
-"""What an object store's refusals mean, and what to do about them."""
+"""Messages for the errors of an object store: cause and remedy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CHECK = {
     "gs": "Check the network and GOOGLE_BASE_URL, and run the same command again",
 }
 _ALLOWED = "Check them, and that they may list, read, write and delete there"
-# What the message holds, in order; what that means; what to do, {credentials} and {check} being those of the store.
+# Pattern in the error text, cause, remedy; the first match counts. {credentials} and {check} depend on the store.
 _MEANINGS = (
     ("NoSuchBucket|bucket does not exist", "there is no such bucket", "Create it, or give another one with out="),
     ("InvalidBucketName", "is not the name of a bucket", "Give another one with out="),
@@ -50,12 +50,12 @@ _MEANINGS = (
 
 
 def explained(error: Exception, url: str) -> InputError:
-    """An InputError that names the URL, what is wrong, and the remedy. error: as obstore raised it."""
+    """Return an InputError with the URL, the cause and the remedy. error: as obstore raised it."""
     text = f"{type(error).__name__} {error}"
     scheme = url.partition("://")[0]
     for pattern, what, remedy in _MEANINGS:
         if re.search(pattern, text):
-            # The store's own words where it is the network: they name the host that was asked.
+            # A network error also names the host and the number of tries.
             request = f" ({_request(text)})" if remedy == "{check}" else ""
             remedy = remedy.format(credentials=_CREDENTIALS[scheme], check=_CHECK[scheme])
             return InputError(what + request, url, remedy)
@@ -64,10 +64,7 @@ def explained(error: Exception, url: str) -> InputError:
 
 
 def check_endpoint(name: str, value: str) -> None:
-    """Refuse an address without scheme or host: obstore's own code would stop there with a trace of its own.
-
-    name: of the variable.
-    """
+    """Refuse an endpoint that is no http(s) URL, on which obstore fails with a traceback. name: of the variable."""
     form = r"https?://([^/@\s]+@)?(\[[\da-fA-F:.]+\]|[^/:@\s?#\[\]]+)(:(?P<port>\d+))?(/[^\s?#]*)?"
     found = re.fullmatch(form, value)
     if found is None or int(found["port"] or 0) > 65_535:

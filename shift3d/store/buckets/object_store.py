@@ -1,9 +1,9 @@
-"""Files of a sweep in a bucket: Amazon S3 and what speaks its protocol, and Google Cloud Storage.
+"""Files of a sweep in a bucket: Amazon S3, stores with the S3 protocol, and Google Cloud Storage.
 
-An object is there whole or not at all by nature. Exactly one of several writers creates it by ``If-None-Match`` (S3) or
-``x-goog-if-generation-match`` (Google), which obstore sends and pyarrow's S3 does not. Credentials, region and endpoint
+An object is always complete or absent. ``If-None-Match`` (S3) or ``x-goog-if-generation-match`` (Google) lets exactly
+one of several writers create it; obstore sends these headers, pyarrow's S3 does not. Credentials, region and endpoint
 come from the environment: AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP, or
-GOOGLE_SERVICE_ACCOUNT, and from the machine's role where it has one.
+GOOGLE_SERVICE_ACCOUNT; a machine with a role uses that role.
 
 Source: our choice (design section 9).
 """
@@ -37,9 +37,8 @@ SCHEMES = ("s3", "gs")
 _ENDPOINTS = ("AWS_ENDPOINT", "AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "GOOGLE_BASE_URL")
 _THREADS = 16
 _IN_ONE_PIECE = 32 * 2**20
-_FETCHED_BYTES = 2**20  # least that a read of part of an object fetches
-# A request is tried again for seconds, not minutes: whoever waits should read soon what is wrong. Of 6 tries, the last
-# one is made 6 s after the first.
+_FETCHED_BYTES = 2**20  # minimum size of a range request
+# Retries last seconds, not minutes, so that the user soon reads what is wrong. The 6th try starts 6 s after the first.
 _RETRY: RetryConfig = {
     "max_retries": 5,
     "retry_timeout": timedelta(seconds=60),
@@ -51,9 +50,9 @@ _ERRORS = (BaseError, OSError, ValueError, RuntimeError)
 
 
 def object_location(url: str) -> ObjectLocation:
-    """``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location.
+    """Return the location of ``s3://bucket/prefix`` or ``gs://bucket/prefix``.
 
-    Raises: InputError: another scheme, no bucket, or settings in the environment that cannot be used.
+    Raises: InputError: another scheme, no bucket, or unusable settings in the environment.
     """
     scheme, _, rest = url.partition("://")
     bucket, _, prefix = rest.partition("/")
@@ -63,12 +62,12 @@ def object_location(url: str) -> ObjectLocation:
     parts = [part for part in prefix.split("/") if part]
     if not bucket or {".", ".."} & set(parts) or not url.isprintable():
         raise InputError("is not the URL of a bucket", where=url, remedy=f"Give {scheme}://BUCKET/PREFIX")
-    _store(scheme, bucket)  # settings that cannot be used are found before anything is planned
+    _store(scheme, bucket)  # finds unusable settings before the sweep is planned
     return ObjectLocation(scheme, bucket, "/".join(parts))
 
 
 def _store(scheme: str, bucket: str) -> Any:
-    """The bucket's client: one a process and set of credentials, since it keeps connections open."""
+    """Return the client of a bucket: one per process and set of credentials, since it keeps connections open."""
     of = ("AWS_",) if scheme == "s3" else ("GOOGLE_",)
     settings = tuple(sorted((name, value) for name, value in os.environ.items() if name.startswith(of)))
     return _client(scheme, bucket, os.getpid(), settings)
@@ -88,7 +87,7 @@ def _client(scheme: str, bucket: str, process: int, settings: tuple[tuple[str, s
 
 @contextlib.contextmanager
 def _clear_errors(url: str) -> Iterator[None]:
-    """What obstore raises as InputErrors; FileNotFoundError passes where it is the file and not the bucket."""
+    """Convert errors of obstore to InputError. AlreadyExistsError passes, and FileNotFoundError of an object."""
     try:
         yield
     except AlreadyExistsError:
@@ -100,7 +99,7 @@ def _clear_errors(url: str) -> Iterator[None]:
 
 
 class _Ranges(io.RawIOBase):
-    """An object of a known size as a file, each read a request. obstore's own reader lacks what pyarrow asks for."""
+    """Object of known size as a file; each read is a request. obstore's own reader lacks methods that pyarrow calls."""
 
     def __init__(self, location: ObjectLocation, size: int) -> None:
         self._location, self._size, self._at = location, size, 0
@@ -129,7 +128,7 @@ class _Ranges(io.RawIOBase):
 
 @dataclass(frozen=True)
 class ObjectLocation(Location):
-    """An object, or all objects whose keys begin alike. key: without the bucket, no slash at either end."""
+    """Object, or all objects with a common key prefix. key: without the bucket and without slashes at its ends."""
 
     scheme: str
     bucket: str
@@ -153,10 +152,7 @@ class ObjectLocation(Location):
         return self
 
     def is_file(self) -> bool:
-        """See `Location`.
-
-        Raises: InputError: the store cannot be asked.
-        """
+        """See `Location`. Also raises InputError if the request fails."""
         try:
             self.size()
         except FileNotFoundError:
@@ -164,28 +160,28 @@ class ObjectLocation(Location):
         return True
 
     def size(self) -> int:
-        """See `Location`. Raises InputError as well, where the store cannot be asked."""
+        """See `Location`. Also raises InputError if the request fails."""
         if not self.key:
             raise FileNotFoundError(str(self))
         with _clear_errors(str(self)):
             return int(obstore.head(self._client, self.key)["size"])
 
     def read_bytes(self) -> bytes:
-        """See `Location`. Raises InputError as well, where the store cannot be asked."""
+        """See `Location`. Also raises InputError if the request fails."""
         with _clear_errors(str(self)):
             return bytes(obstore.get(self._client, self.key).bytes())
 
     def read_range(self, start: int, length: int) -> bytes:
-        """Part of an object. Raises FileNotFoundError or InputError as `read_bytes` does."""
+        """Return part of an object. Raises FileNotFoundError or InputError as `read_bytes`."""
         with _clear_errors(str(self)):
             return bytes(obstore.get_range(self._client, self.key, start=start, length=length))
 
     def open(self) -> Any:
-        """See `Location`: fetches what is read. Both raise InputError as well: the store cannot be asked."""
+        """See `Location`: fetches only what is read. `open` and reads also raise InputError if a request fails."""
         return io.BufferedReader(_Ranges(self, self.size()), _FETCHED_BYTES)
 
     def version(self) -> str:
-        """See `Location`: size and entity tag. Raises InputError, where the store cannot be asked."""
+        """See `Location`: size and entity tag. Also raises InputError if the request fails."""
         try:
             with _clear_errors(str(self)):
                 state = obstore.head(self._client, self.key)
@@ -194,17 +190,17 @@ class ObjectLocation(Location):
         return f"{state['size']}-{state['e_tag']}"
 
     def names(self) -> list[str]:
-        """See `Location`. Raises InputError, where the store cannot be asked."""
+        """See `Location`. Also raises InputError if the request fails."""
         with _clear_errors(str(self)):
             found = obstore.list_with_delimiter(self._client, self.key or None)
-        # The consoles of stores make a folder as an object of its own name, with a slash behind it.
+        # Web consoles store a folder as an object with the folder's name and a trailing slash.
         objects = (entry["path"] for entry in found["objects"] if entry["path"].rstrip("/") != self.key)
         paths = [*found["common_prefixes"], *objects]
         names = {path.rstrip("/").rpartition("/")[2] for path in paths}
         return sorted(name for name in names if not name.startswith("."))
 
     def write_atomic(self, content: bytes) -> None:
-        """See `Location`. An upload that is cut off leaves parts that only the bucket's own rules remove."""
+        """See `Location`. An interrupted upload leaves parts that only the rules of the bucket remove."""
         with _clear_errors(str(self)):
             obstore.put(self._client, self.key, content, use_multipart=len(content) > _IN_ONE_PIECE)
 
@@ -213,18 +209,18 @@ class ObjectLocation(Location):
             with _clear_errors(str(self)):
                 obstore.put(self._client, self.key, content, mode="create", use_multipart=False)
         except AlreadyExistsError:
-            # A request that was tried again after its answer got lost finds what it wrote itself.
+            # A retried request whose first answer got lost finds the object that it wrote itself.
             return self.read_bytes() == content
         except InputError as error:
             return self._was_created(content, error)
         return True
 
     def _was_created(self, content: bytes, error: InputError) -> bool:
-        """Whether this content is there although the store did not say so."""
+        """True if the object has this content although the store reported an error."""
         try:
             return self.read_bytes() == content
         except (FileNotFoundError, InputError):
-            # Not there yet, or nobody answers: what was sent may still arrive.
+            # The object is absent or the store is silent: the request may still arrive.
             raise UncertainError(error.what, error.where, error.remedy) from error
 
     def delete(self) -> None:
@@ -232,11 +228,11 @@ class ObjectLocation(Location):
             obstore.delete(self._client, self.key)
 
     def leftovers(self) -> list[Location]:
-        """See `Location`: none, since nothing is half-written."""
+        """See `Location`: always empty, since no object is half-written."""
         return []
 
     def check_writable(self, word: str = "out=DIR") -> None:
-        """See `Location`: tried, since some stores ignore the condition and would let two drivers write one entry."""
+        """See `Location`: tries a probe twice, since some stores ignore the condition (two drivers, one entry)."""
         probe = self / f".probe-{secrets.token_hex(8)}"
         try:
             if probe.put_if_absent(b"first") and not probe.put_if_absent(b"second"):

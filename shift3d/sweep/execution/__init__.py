@@ -1,1 +1,1 @@
-"""How the tasks of a plan run: in this process or through Ray, with retries, quarantine and progress."""
+"""Execution of a plan's tasks: in this process or through Ray, with retries, quarantine and progress."""

@@ -1,4 +1,4 @@
-"""When a sweep stops by itself: what fails early or often fails for a reason that the rest of the tasks share."""
+"""Rule that aborts a sweep: early or frequent failures have a cause that the remaining tasks probably share."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from shift3d.exit_codes import ExitCode
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.wording import counted
 
-# A share of fewer tasks than this says little.
+# The failed share of fewer tasks says little.
 _LEAST_TASKS = 50
-# Errors are alike when they begin alike: names and numbers of a single task come later.
+# Length of the message beginning by which errors are alike: names and numbers of a single task come later.
 _HEAD = 24
 
 
 class AbortedError(InputError):
-    """Too much failed to go on. What was committed stays, and the same command goes on from there."""
+    """Error for too many failed tasks. Committed results stay, and the same command resumes."""
 
     exit_code = ExitCode.ABORTED
 
 
 class AbortRule:
-    """Watches the outcomes of one run.
+    """Counter of the outcomes of one run that decides when to abort.
 
-    Args: after: stop when the first so many tasks failed alike. share: stop when more than this part of at least 50
-    tasks failed. None: never for this reason.
+    Args: after: abort if the first `after` tasks failed alike. share: abort if more than this share of at least 50
+    tasks failed. None disables the limit.
     """
 
     def __init__(self, after: int | None, share: float | None) -> None:
@@ -37,7 +37,7 @@ class AbortRule:
         self._example: dict[str, str] = {}
 
     def seen(self, outcome: BatchOutcome) -> AbortedError | None:
-        """Take an outcome in; the error says why to stop, where it is time to."""
+        """Count an outcome. Return the error to abort with, or None."""
         self._done += len(outcome.done)
         self._failed += len(outcome.quarantined)
         for error in outcome.errors:

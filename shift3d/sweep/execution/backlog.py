@@ -1,7 +1,7 @@
-"""Which tasks wait, how often each was tried, and how many a call to a worker gets: by position in the plan.
+"""Backlog of waiting tasks, by position in the plan: attempts of each task, and the number of tasks per call.
 
-Neighbours in a plan share a vehicle, and what a worker prepares for that vehicle takes about as long as a task. So each
-worker has a stretch of the plan to itself, and takes half of the longest one that is left when it has ended its own.
+Neighbours in a plan share a vehicle, and a worker prepares a vehicle in about the time of a task. So each worker has
+its own contiguous range of the plan; after its end the worker takes half of the longest range left.
 """
 
 from __future__ import annotations
@@ -11,23 +11,22 @@ from collections.abc import Hashable, Sequence
 
 import numpy as np
 
-# A task is quarantined after so many failures of a worker in which it was alone.
+# Worker failures with a task alone after which the task is quarantined.
 _CHARGES = 2
-# A lost machine is not counted against the task, but so many lost machines are.
+# A lost machine is not counted against the task, but this many lost machines are.
 _LOSSES = 6
-# Of a call.
 _MOST_TASKS = 4096
 
 
 class Backlog:
-    """The tasks of a run that have no outcome yet and are in no worker's hands.
+    """Tasks of a run without an outcome that no worker holds.
 
-    Args: positions: to run, in this order. tried: attempts of earlier runs by position, so that numbers go on.
+    Args: positions: tasks to run, in this order. tried: attempts of earlier runs by position, so that numbers continue.
     """
 
     def __init__(self, positions: Sequence[int] | np.ndarray, tried: dict[int, int] | None = None) -> None:
         self._positions = np.asarray(positions, dtype=np.int64)
-        # By worker: from and up to which of the positions its stretch goes. At first no worker owns any.
+        # Range (start, end) in `_positions` of each worker. At first all positions belong to the key None.
         self._stretches: dict[Hashable, tuple[int, int]] = {None: (0, len(self._positions))}
         self._again: deque[int] = deque()
         self._alone: deque[int] = deque()
@@ -40,7 +39,7 @@ class Backlog:
         return waiting + len(self._again) + len(self._alone)
 
     def take(self, size: int, worker: Hashable = None) -> list[int]:
-        """The next tasks for a worker, at most ``size``: one where it is to be alone. Those that come back go first."""
+        """Return at most ``size`` tasks for a worker: one that must run alone, or failed ones first, then its range."""
         if self._alone:
             return [self._alone.popleft()]
         taken = [self._again.popleft() for _ in range(min(size, len(self._again)))]
@@ -52,7 +51,7 @@ class Backlog:
         return taken
 
     def _stretch_of(self, worker: Hashable) -> tuple[int, int]:
-        """A worker's own stretch; where that has ended the later half of the longest, or all of an unowned one."""
+        """Return a worker's range; at its end the later half of the longest one, or all of the unowned one."""
         start, end = self._stretches.get(worker, (0, 0))
         if start < end:
             return start, end
@@ -63,21 +62,21 @@ class Backlog:
         return middle, end
 
     def first_attempt(self, positions: Sequence[int]) -> int:
-        """The number of the next try of tasks that are tried together: above that of every earlier one."""
+        """Return the attempt number for tasks that are tried together: above every earlier one."""
         return 1 + max((self._tries.get(position, 0) for position in positions), default=0) if self._tries else 1
 
     def tried(self, positions: Sequence[int], attempt: int) -> None:
-        """An attempt without a result took place."""
+        """Record an attempt without a result."""
         for position in positions:
             self._tries[position] = max(attempt, self._tries.get(position, 0))
 
     def failed(self, positions: Sequence[int], culprit: int | None, charged: bool, apart: bool, copied: bool) -> bool:
-        """Puts the tasks of a call without a result back. True where the culprit is to be quarantined instead.
+        """Put the tasks of a failed call back. Return True if the culprit must be quarantined instead.
 
-        culprit: the task that did it, where that is known; it is run again alone. charged: the worker died or hung,
-        and the second time quarantines; otherwise a machine went away, and the sixth time does. apart: each of the
-        others is run again alone. copied: a speculative copy of the call still runs. It may succeed, so that nothing
-        is put back and nothing quarantined until it ends.
+        culprit: the task that caused the failure, if known; it is run again alone. charged: the worker died or hung,
+        which quarantines the culprit the second time; otherwise a machine was lost, which does so the sixth time.
+        apart: each other task is run again alone. copied: a speculative copy of the call still runs and may succeed, so
+        that nothing is put back or quarantined until the copy ends.
         """
         quarantined = culprit is not None and self._counted(culprit, charged) and not copied
         if not copied:
@@ -94,10 +93,7 @@ class Backlog:
 
 
 class BatchSizer:
-    """Grows from one task towards ``seconds`` of work a call, by what calls have taken so far.
-
-    Args: seconds: aim for one call.
-    """
+    """Number of tasks per call: grows from one towards ``seconds`` of work, by the measured time per task."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
@@ -105,17 +101,17 @@ class BatchSizer:
         self._last = 1
 
     def size(self, left: int, workers: int) -> int:
-        """Tasks for the next call. left: tasks not yet given out; the last ones are shared out evenly."""
+        """Return the number of tasks for the next call. left: tasks not given out; the last are shared evenly."""
         fair = -(-left // max(workers, 1))
         if self._per_task_s is None:
             return 1
         wanted = int(self._seconds / max(self._per_task_s, 1e-7))
-        # At most eight times the last size, so that one lucky task does not fix the size for all.
+        # At most eight times the last size, so that one fast task does not fix the size for all.
         self._last = max(1, min(wanted, 8 * self._last, _MOST_TASKS))
         return max(1, min(self._last, fair))
 
     def finished(self, tasks: int, seconds: float) -> None:
-        """Learn from a call: how many tasks, and how long it took."""
+        """Update the time per task with a call of `tasks` tasks in `seconds`."""
         if tasks:
             new = seconds / tasks
             self._per_task_s = new if self._per_task_s is None else 0.5 * self._per_task_s + 0.5 * new

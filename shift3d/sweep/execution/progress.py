@@ -1,4 +1,4 @@
-"""The progress bar: how far, how long still, and what failed."""
+"""Progress bar of a sweep: finished tasks, remaining time and failures."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _LONG_S = 5.0
 
 
 class Progress:
-    """A bar on stderr; where that is no terminal, a line now and then.
+    """Bar on stderr; without a terminal, an occasional line.
 
-    Args: total: tasks of the sweep. finished: those that earlier runs finished. workers: shown beside the bar.
+    Args: total: tasks of the sweep. finished: tasks that earlier runs finished. workers: number shown beside the bar.
     """
 
     def __init__(self, total: int, finished: int, workers: int) -> None:
@@ -24,15 +24,15 @@ class Progress:
         self._bar = progress_bar(total=total, initial=finished, unit="task", desc=shown, smoothing=0.05)
 
     def close(self) -> None:
-        """The bar's last state stays."""
+        """Close the bar; its last state stays visible."""
         self._bar.close()
 
     def update(self, done: int, quarantined: int, running: Sequence[Running], workers: int) -> None:
-        """Count finished tasks; zero of both only redraws. running: what is in flight, the oldest first."""
+        """Count finished tasks; zero of both only redraws. running: calls in flight, oldest first."""
         self._failed += quarantined
         self._bar.set_description(counted(workers, "worker"), refresh=False)
         parts = [f"{self._failed} failed"] if self._failed else []
-        # Of calls that take a while it is worth knowing which they are.
+        # Long calls are named.
         parts += [f"{running[0].label} {running[0].seconds:.0f} s"] if running and running[0].seconds >= _LONG_S else []
         self._bar.set_postfix_str(", ".join(parts), refresh=False)
         if done or quarantined:
@@ -41,5 +41,5 @@ class Progress:
             self._bar.refresh()
 
     def say(self, text: str) -> None:
-        """A line above the bar."""
+        """Print a line above the bar."""
         self._bar.write(text, file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What runs a plan's tasks: in this process, or through Ray."""
+"""Runners of a plan's tasks: in this process, or through Ray."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from shift3d.sweep.planning.plan import Plan
 
 
 class Runner(Protocol):
-    """Runs tasks and yields outcomes as they come, in any order."""
+    """Interface of a runner, which runs tasks and yields outcomes in any order."""
 
     @property
     def workers(self) -> int:
-        """How many there are to be, now."""
+        """Current target number of workers."""
 
     @property
     def left_out(self) -> Sequence[str]:
-        """A line of each machine that can run no task."""
+        """Lines on the machines that can run no task, one per machine."""
 
     def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
-        """Run until all tasks have an outcome, or, once ``stop`` is set, until those in flight have one.
+        """Run until all tasks have an outcome or, once ``stop`` is set, until the tasks in flight have one.
 
-        An outcome without tasks may be yielded at any time: a chance for the caller to commit and to draw.
+        The runner may yield an outcome without tasks at any time, so that the caller can commit and redraw.
 
         Args: positions: of the tasks in the plan.
         """
 
     def running(self) -> list[Running]:
-        """What is in flight, the oldest first."""
+        """Return the calls in flight, oldest first."""
 
     def close(self) -> None:
-        """End what was started, at once."""
+        """End all started processes at once."""
 
 
 class LocalRunner:
-    """A `Runner` in this process, one task after the other. One that hangs is not ended: nobody is here to do it."""
+    """`Runner` in this process, one task at a time. A hanging task is not ended: no other process watches it."""
 
     workers = 1
     left_out: Sequence[str] = ()
@@ -71,13 +71,13 @@ class LocalRunner:
         return self._running
 
     def close(self) -> None:
-        """Nothing to end."""
+        """Do nothing: there is no process to end."""
 
 
 def make_runner(kind: TaskKind, plan: Plan, config: RunnerConfig, tasks_left: int, tried: dict[int, int]) -> Runner:
-    """The runner that the settings name.
+    """Return the runner that the settings name.
 
-    Args: tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
+    Args: tasks_left: maximum number of workers. tried: attempts of earlier runs by position.
     """
     if isinstance(config, LocalRunnerConfig):
         return LocalRunner(kind, plan, config.commit_seconds, tried)

@@ -1,4 +1,4 @@
-"""What runs tasks, in whichever process: one batch at a time, each task tried, retried or quarantined."""
+"""Worker that runs tasks in batches, in any process; each task is tried, retried or quarantined."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from shift3d.sweep.planning.tasks import PlannedTask
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.spec import TaskSpec
 
-# How often a task is tried, and the pause before each new try of I/O. A deterministic failure is tried
-# twice in case it was not deterministic after all; what the file system or the network did may pass.
+# Tries per task, and the pauses before further tries of I/O. A deterministic failure gets a second try in case it was
+# not deterministic; a failure of the file system or the network may pass.
 _DETERMINISTIC_TRIES = 2
 _IO_TRIES = 4
 _IO_PAUSE_S = (0.5, 2.0, 8.0)
-# Errors of the file system that do not pass: readers say with them what is missing.
+# Errors of the file system that do not pass: readers report missing files with them.
 _LASTING = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
 _GIVES_BACK_S = 1.0
-"""After a batch this long memory is given back, which takes some hundredths of a second."""
+"""Batch duration from which memory is given back, which takes some hundredths of a second."""
 
 
 @dataclass(frozen=True)
 class Running:
-    """A call in flight. task: its first one. tasks: how many it holds. seconds: since it was given out.
+    """Call in flight. task: its first task. tasks: number of tasks. seconds: time since it was given out.
 
-    worker: host and process that it was given to.
+    worker: host and process that run it.
     """
 
     task: PlannedTask
@@ -50,7 +50,7 @@ class Running:
 
     @property
     def label(self) -> str:
-        """vehicle/scene, the mode, and how many more there are."""
+        """Text with vehicle/scene, mode, and the number of further tasks."""
         spec = self.task.spec
         more = f" +{self.tasks - 1}" if self.tasks > 1 else ""
         return f"{spec.vehicle}/{spec.scene} {spec.mode}{more}"
@@ -58,12 +58,11 @@ class Running:
 
 @dataclass
 class BatchOutcome:
-    """What a batch came to.
+    """Results of one batch.
 
-    done, quarantined: task ids in the order they were run. tables: segment tables by name. errors: of each quarantined
-    one. unread: those quarantined whose files could not be read or written. fatal: why no task can be run at all
-    (assets cannot be loaded); the sweep stops with it. peak_mb: the most memory that the worker's process has had,
-    10^6 bytes.
+    done, quarantined: task ids in the order they were run. tables: segment tables by name. errors: one per quarantined
+    task. unread: quarantined tasks whose files could not be read or written. fatal: reason why no task can run at all
+    (assets cannot be loaded); it stops the sweep. peak_mb: peak memory of the worker's process, 10^6 bytes.
     """
 
     done: list[str] = field(default_factory=list)
@@ -77,11 +76,11 @@ class BatchOutcome:
 
 
 def attempt_row(task_id: str, attempt: int, outcome: str, started_unix_s: float, seconds: float) -> Row:
-    """One row of ``attempts``, of this process.
+    """Return one row of ``attempts``, with this process as the worker.
 
-    outcome: done; failed or out_of_memory (the task's exception); crashed, out_of_memory or timeout (its worker's end);
-    bystander (the end of a worker that had other tasks, too); node_lost or unreachable (its machine's);
-    not_loaded (its machine cannot load what tasks need). seconds: by a clock that never jumps.
+    outcome: done; failed or out_of_memory (exception of the task); crashed, out_of_memory or timeout (end of its
+    worker); bystander (end of a worker that also had other tasks); node_lost or unreachable (failure of its machine);
+    not_loaded (its machine cannot load the assets). seconds: by a monotonic clock.
     """
     return {
         "task_id": task_id,
@@ -102,10 +101,10 @@ def _process() -> str:
 
 
 class Worker:
-    """Holds what tasks need and runs them. The same class in this process and in a Ray actor.
+    """Worker that holds the assets and runs tasks, in this process or in a Ray actor.
 
-    command: that shows a task again, up to its id. note: told the place in its batch of each task that begins, and None
-    after the last one.
+    command: command that reproduces a task, up to its id. note: called with the index in its batch of each task that
+    begins, and with None after the last one.
     """
 
     def __init__(
@@ -129,7 +128,7 @@ class Worker:
         """Run tasks in order.
 
         Args:
-            stop: asked before each task; the tasks left when it says True are in neither list.
+            stop: asked before each task; after True, the remaining tasks are in neither list of the outcome.
             first_attempt: number of the first try, for ``attempts``.
         """
         began = time.perf_counter()
@@ -172,7 +171,7 @@ class Worker:
             threads = self._assets_specs[index].threads
             configure_runtime(threads)
             self._assets[index] = self._kind.load(self._assets_specs[index])
-            configure_runtime(threads)  # again: loading may have imported torch
+            configure_runtime(threads)  # again, since loading may have imported torch
         return self._assets[index]
 
     def _run_task(self, spec: TaskSpec, assets: Any, attempt: int) -> _Rows:
@@ -203,7 +202,7 @@ class Worker:
 
 
 def _is_io(error: BaseException) -> bool:
-    """Whether the file system or the network failed: an OSError, or a reader's InputError that a passing one caused."""
+    """True if the file system or the network failed: an OSError, or an InputError that a passing OSError caused."""
     if not isinstance(error, InputError):
         return isinstance(error, OSError)
     cause = error.__cause__
@@ -213,21 +212,20 @@ def _is_io(error: BaseException) -> bool:
 
 
 def _give_memory_back() -> None:
-    """Return to the system what the allocator keeps of tensors that are gone, where it is glibc's.
+    """Return the memory of freed tensors from glibc's allocator to the system.
 
-    A task's tensors are of many sizes, and its heap is soon full of holes: a Ray worker held 3 GB after a dozen shape
-    attacks; of 2.0 GB after two short ones, in a process of their own, this left 1.3.
+    The tensors of a task have many sizes, which fragment the heap: a Ray worker held 3 GB after a dozen shape attacks.
+    In a separate process with 2.0 GB after two short attacks, this call left 1.3 GB.
     """
     import ctypes
 
-    with contextlib.suppress(OSError, AttributeError, TypeError):  # another library, or none that can be asked
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # no glibc, or no library to load
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _peak_mb() -> float:
-    """Peak resident memory of this process, 10^6 bytes."""
-    # Not from getrusage where the kernel tells it otherwise: its maximum survives exec, so that a child starts with
-    # what its parent had.
+    """Return the peak resident memory of this process, 10^6 bytes."""
+    # /proc is preferred to getrusage, whose maximum survives exec: a child would start with the peak of its parent.
     status = Path("/proc/self/status")
     if status.is_file():
         found = [line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmHWM:")]
@@ -240,7 +238,7 @@ def _peak_mb() -> float:
 
 
 def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, list[Row]]:
-    """A result's rows with the columns that its spec determines."""
+    """Return the rows of a result, with the columns that the spec determines filled in."""
     known: Row = {name: getattr(spec, name) for name in SPEC_COLUMNS if name not in ("sweep", "lambda")}
     known |= {"sweep": sweep, "lambda": spec.lambda_}
     found = {}
@@ -253,8 +251,6 @@ def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, 
 
 @dataclass
 class _Rows:
-    """One task's rows in a batch."""
-
     task_id: str
     done: bool = False
     unread: bool = False
@@ -268,7 +264,7 @@ def _tables(results: Sequence[_Rows]) -> dict[str, pa.Table]:
 
 
 def _refuse_broken_rows(rows: _Rows, command: str) -> None:
-    """Quarantine a task whose rows do not fit their schema: its defect, and no other task's."""
+    """Quarantine a task whose rows do not fit their schema. Other tasks of the batch are not affected."""
     try:
         _tables([rows])
     except ValueError as error:

@@ -1,1 +1,1 @@
-"""What a sweep runs: its tasks, their ids, the effects that each scene calls for, and the files that say so."""
+"""Planning of a sweep: its tasks, their ids, the effects in each scene, and the files that store the plan."""

@@ -1,4 +1,4 @@
-"""Which effects the scenes of a plan call for, decided once for each scene and detector."""
+"""Choice of the effects for the scenes of a plan, made once per scene and detector."""
 
 from __future__ import annotations
 
@@ -24,27 +24,26 @@ _USERS: Mapping[str, tuple[str, ...]] = {
     "power_spread": ("ray_drop", *_WEATHER),
     "object_speed_m_s": ("rolling_shutter",),
 }
-"""The effects that use each of `EffectSettings`."""
+"""Effects that use each field of `EffectSettings`."""
 
 
 Decision = tuple[Choice, tuple[str, ...]]
-"""What was decided about an effect, and the names of the scenes for which it was; the reason is the first one's."""
+"""Choice about an effect, and the names of its scenes; the reason is that of the first scene."""
 
 
 @dataclass
 class EffectChoices:
-    """Remembers what was decided: scenes that are alike, but for their names, are asked once."""
+    """Cache of effect choices: scenes that differ only in their names are decided once."""
 
     _lines: dict[tuple[str, bool], tuple[Choice, dict[str, None]]] = field(default_factory=dict)
     _alike: dict[int, tuple[Catalogue, list[int], list[SceneFacts]]] = field(default_factory=dict)
     _settings: dict[str, None] = field(default_factory=dict)
 
     def of(self, config: Config, catalogue: Catalogue, scenes: Sequence[int]) -> list[tuple[str, ...]]:
-        """The names of the effects of tasks in these scenes, in the order of the physics.
+        """Return the names of the effects of tasks in these scenes, in the physical order of `NEEDS`.
 
         Args: scenes: positions in the catalogue.
-
-        Raises: InputError: an effect is forced that a scene has no data for.
+        Raises: InputError: a scene lacks the data for a forced effect.
         """
         overrides = EffectSettings(**config.effects.overrides())
         self._settings |= dict.fromkeys(overrides.overrides())
@@ -65,37 +64,37 @@ class EffectChoices:
         return names
 
     def _kinds(self, catalogue: Catalogue) -> tuple[list[int], list[SceneFacts]]:
-        """Of each scene the number of its facts, its name apart, and the facts by number."""
+        """Return the index of each scene's facts (without its name), and the distinct facts."""
         if id(catalogue) not in self._alike:
             _, numbers = numbered(replace(entry.facts, scene_id="") for entry in catalogue.scenes)
             first = np.unique(numbers, return_index=True)[1]
-            # The catalogue is kept: no other one has its identity while it lives.
+            # The cache keeps the catalogue alive, so that its id() stays unique.
             self._alike[id(catalogue)] = (catalogue, numbers.tolist(), [catalogue.scenes[at].facts for at in first])
         return self._alike[id(catalogue)][1:]
 
     def unused(self) -> list[str]:
-        """A line for each setting about scenes that no effect of any task uses."""
+        """Return a line for each setting about scenes that no effect of any task uses."""
         used = {effect for effect, used in self._lines if used}
         return [
             f"effects.{name}: no effect of this sweep uses it" for name in self._settings if not used & {*_USERS[name]}
         ]
 
     def decisions(self) -> tuple[Decision, ...]:
-        """What was decided, by effect in the order of the physics; one that some scenes use and others do not twice."""
+        """Return the decisions in the physical order of `NEEDS`; twice for an effect that only some scenes use."""
         order = list(NEEDS)
         found = sorted(self._lines.values(), key=lambda line: (order.index(line[0].effect), not line[0].used))
         return tuple((choice, tuple(scenes)) for choice, scenes in found)
 
 
 def _choices(config: Config, facts: SceneFacts, detector: DetectorFacts) -> dict[str, Choice]:
-    """What is decided about each effect for a scene: what it calls for where that is asked, and what is forced."""
+    """Choose the effects of a scene: automatic ones if the settings ask for them, and forced ones."""
     found = choose("auto", facts, detector) if config.effects.auto else []
     found += choose(config.effects.forced(), facts, detector)
     return {choice.effect: choice for choice in found}
 
 
 def effect_table(decisions: Sequence[Decision], scenes: int) -> str:
-    """The table of a plan: effect, scenes that call for it, expected cost, reason; one line where there is none."""
+    """Return the plan's table: effect, scenes that need it, expected cost, reason; one line if there are no effects."""
     if not decisions:
         return "effects: occlusion alone; no scene calls for more"
     head = ("effect", "scenes", "ms a rendering", "why (of the first scene)")

@@ -1,4 +1,4 @@
-"""The immutable part of an output folder: spec.yaml, env.json, plan.parquet."""
+"""Immutable files of an output folder: spec.yaml, env.json, plan.parquet."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray",
 
 
 def default_folder(plan: Plan) -> Location:
-    """``outputs/<name>-<hash of the spec>`` in the working directory."""
+    """Return ``outputs/<name>-<hash of the spec>`` in the working directory."""
     return as_location("outputs") / f"{plan.sweep}-{plan.spec_hash}"
 
 
 def check_folder(folder: LocationLike, plan: Plan) -> bool:
-    """Make sure that a plan can run in a folder; whether it was begun there. Nothing is changed.
+    """Check that a plan can run in a folder, without changes. Return True if the plan was begun there.
 
     Raises: InputError: the folder holds another sweep or something else, or cannot be written to.
     """
@@ -53,23 +53,23 @@ def check_folder(folder: LocationLike, plan: Plan) -> bool:
 
 
 def open_folder(folder: LocationLike, plan: Plan) -> None:
-    """Create a sweep's folder, or check that an existing one is of the same plan.
+    """Create a sweep's folder, or check that an existing one has the same plan.
 
     Raises: InputError: see `check_folder`; or the disk is full.
     """
     folder = as_location(folder)
-    # spec.yaml first: of drivers of several plans one has the folder, and only those of its plan write beside it.
+    # spec.yaml is first: it decides which plan owns the folder, and only drivers of that plan write further files.
     begun = check_folder(folder, plan)
     if not begun and not (folder / "spec.yaml").put_if_absent(_spec_bytes(plan)):
-        begun = check_folder(folder, plan)  # another driver was quicker: it must be of the same plan
-    if not begun or not (folder / "env.json").is_file():  # or its driver was killed here
+        begun = check_folder(folder, plan)  # another driver was faster: its plan must be the same
+    if not begun or not (folder / "env.json").is_file():  # or a driver was killed before env.json
         (folder / "plan.parquet").write_atomic(plan_bytes(plan.tasks))
         environment = json.dumps(_environment(), indent=1, sort_keys=True)
         (folder / "env.json").write_atomic(environment.encode() + b"\n")
 
 
 def _empty_or_begun(folder: Location) -> bool:
-    """No folder yet, an empty one, or one whose driver was killed between its first and its last immutable file."""
+    """True if the folder is absent, empty, or has only plan.parquet or env.json, left by a killed driver."""
     try:
         return not folder.is_file() and set(folder.names()) <= {"plan.parquet", "env.json"}
     except NotADirectoryError:
@@ -77,10 +77,9 @@ def _empty_or_begun(folder: Location) -> bool:
 
 
 def _check_requests(folder: Location, plan: Plan) -> None:
-    """Refuse a plan of the same tasks under another name of their effects: its tables would be of groups that the
-    folder's plan does not have."""
+    """Refuse a plan of equal tasks with other requested effects: the folder's plan lacks the groups of its tables."""
     path = folder / "plan.parquet"
-    complete = (folder / "env.json").is_file() and path.is_file()  # written last: before it a plan is written again
+    complete = (folder / "env.json").is_file() and path.is_file()  # env.json is last; without it the plan is rewritten
     if complete and (begun := other_requests(path.read_bytes(), plan.tasks)):
         what = f"holds the same tasks, begun with effects={','.join(begun)}, which come to the same in these scenes"
         raise InputError(what, str(folder), "Choose another folder with out=DIR, or give those effects")
@@ -93,7 +92,7 @@ def _difference(found: dict[str, Any], plan: Plan) -> str:
         return f"{counted(found['tasks'], 'task')}, not {len(plan.tasks)}"
     old, new = dict(leaves(found["settings"])), dict(leaves(plan.settings))
     changed = [f"{key} {old.get(key)}, not {new.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key)]
-    # A processor without bfloat16 searches in float32, unless accuracy.detector says what to search in.
+    # A processor without bfloat16 searches in float32, unless accuracy.detector sets the type.
     return changed[0] if changed else "made from other scenes, vehicles, weights, axes or accuracy.detector"
 
 
@@ -114,7 +113,7 @@ def _spec_bytes(plan: Plan) -> bytes:
 
 
 def _environment() -> dict[str, Any]:
-    """What ran it: for the reader, and for whoever asks why two machines differ."""
+    """Return the versions and the machine, for readers who ask why the results of two machines differ."""
     return {
         "shift3d": shift3d.__version__,
         "python": platform.python_version(),
@@ -126,7 +125,7 @@ def _environment() -> dict[str, Any]:
 
 
 def library_versions(names: Iterable[str]) -> dict[str, str]:
-    """What is installed here, by name; "absent" where nothing is."""
+    """Return the versions installed on this machine, by name; "absent" for a missing library."""
     versions = {}
     for name in names:
         try:
@@ -137,7 +136,7 @@ def library_versions(names: Iterable[str]) -> dict[str, str]:
 
 
 def read_plan(folder: LocationLike) -> Plan:
-    """The plan of a sweep's folder, with every task's spec: what an export or a report starts from.
+    """Return the plan of a sweep's folder, with every task's spec: the input of exports and reports.
 
     Raises: InputError: the folder is not a sweep's, or a file in it is damaged.
     """
@@ -159,7 +158,7 @@ def read_plan(folder: LocationLike) -> Plan:
             assets=tuple(AssetsSpec(**assets) for assets in spec["assets"]),
             skipped={str(name): str(why) for name, why in dict(spec.get("skipped", {})).items()},
         )
-        # One number that depends on every task: what was changed in either file does not give it.
+        # The hash depends on every task, so that it shows a change in either file.
         complete = plan.spec_hash == spec["spec_hash"]
         complete &= bool(((tasks.assets >= 0) & (tasks.assets < len(plan.assets))).all())
     except (KeyError, ValueError, TypeError) as error:

@@ -1,4 +1,4 @@
-"""What a sweep runs, by argument: the service knows no task by name."""
+"""Kind of task that a sweep runs, passed as an argument: the sweep service knows no task by name."""
 
 from __future__ import annotations
 
@@ -19,14 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TaskKind:
-    """A kind of task. run and load are importable functions, since workers import them by name.
+    """Kind of task. run and load are importable functions, since workers import them by name.
 
-    run: (spec, assets) to a result, a pure function of both. load: what a worker loads once and passes to
-    every ``run``. catalogue: settings to what there is to run on, with content hashes. preview: the same, without the
-    hashes of scenes that would take long; None: catalogue takes no time. single: whether one of its tasks
-    can be run by its id (``shift3d sweep NAME --task ID``). memory_mb: what a worker needs, about, in 2^20 bytes.
-    prepare: what the driver makes once before workers load it, for the assets and the tasks' specs without their scene;
-    None: nothing.
+    run: pure function of (spec, assets) that returns a result. load: loads the assets of all tasks, once per worker.
+    catalogue: lists the scenes, vehicles and detectors of settings, with content hashes. preview: the same, without
+    scene hashes that take long; None: catalogue is fast. single: a task can be run by its id (``shift3d sweep NAME
+    --task ID``). memory_mb: approximate memory of a worker, in 2^20 bytes. prepare: run once by the driver before
+    workers load, with the assets and the tasks' specs without their scene; None: nothing.
     """
 
     run: Callable[[TaskSpec, Any], TaskResult]
@@ -39,12 +38,12 @@ class TaskKind:
 
 
 def shift3d_kind() -> TaskKind:
-    """The real task: place a vehicle, attack it, score what was found."""
+    """Return the kind of the attack task: place a vehicle, attack it, score the result."""
     preview = functools.partial(read_catalogue, preview=True)
     return TaskKind(run=_run, load=_load, catalogue=read_catalogue, preview=preview, prepare=_prepare)
 
 
-# The renderer and the meshes are imported where tasks run: a plan, and the driver of a sweep on Ray, need neither.
+# Late imports: a plan, and the driver of a sweep on Ray, need neither the renderer nor the meshes.
 def _run(spec: TaskSpec, assets: Any) -> TaskResult:
     from shift3d.task.run import run_task
 
@@ -64,14 +63,14 @@ def _prepare(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None:
 
 
 def reproduce_command(kind: TaskKind, plan: Plan) -> str:
-    """The command up to the task's id; empty where a kind's tasks cannot be run one by one."""
+    """Return the command that runs one task, up to the task id; "" if tasks of the kind cannot run one by one."""
     if not kind.single:
         return ""
     return " ".join([*map(shlex.quote, ["shift3d", "sweep", plan.sweep, *plan.overrides]), "--task"])
 
 
 def with_command(row: Row, command: str) -> Row:
-    """A row of ``attempts`` whose traceback ends with how to see it again."""
+    """Return a row of ``attempts`` whose traceback ends with the command that reproduces it."""
     if not command:
         return row
     parts = [row["traceback"], f"reproduce: {command} {row['task_id']}"]

@@ -1,7 +1,7 @@
-"""Where the tasks of a combination of settings take place: scenes, those of transfers, and the effects they call for.
+"""Layout of the tasks of a combination of settings: scenes, transfer scenes, and the effects in them.
 
-Worked out once for all combinations that differ in nothing that it depends on: a sweep of many settings over many
-scenes looks at each scene a few times, not once a task.
+A layout is computed once for all combinations with the same inputs: a sweep of many settings over many scenes examines
+each scene a few times, not once per task.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Effects = tuple[str, ...]
 
 @dataclass(frozen=True)
 class _Layout:
-    """One task a scene, in order.
+    """One task per scene, in order.
 
-    place: of each, as the builder numbers them. kind: of each, its number in kinds: (data set, effects, whether what
-    is said about effects concerns it).
+    place: task scene of each task, as the builder numbers them. kind: of each task, index into kinds: (data set,
+    effects, True if settings of effects concern it).
     """
 
     place: np.ndarray
@@ -38,7 +38,7 @@ class _Layout:
 
 @dataclass
 class Layouts:
-    """Remembers layouts while a plan is made. builder: numbers the places. where: for errors."""
+    """Cache of layouts while a plan is made. builder: numbers the task scenes. where: for errors."""
 
     builder: TasksBuilder
     decided: EffectChoices
@@ -46,16 +46,15 @@ class Layouts:
     _known: dict[tuple[object, ...], _Layout] = field(default_factory=dict)
 
     def tasks_of(self, config: Config, catalogue: Catalogue, spec: TaskSpec) -> tuple[np.ndarray, np.ndarray]:
-        """Of each task of one combination of settings: its ground and its place, as the builder numbers them.
+        """Return the builder's numbers of the template and the task scene of each task of one combination of settings.
 
-        spec: what the tasks have in common.
-
-        Raises: InputError: the scene is unknown, the set is empty or too small for the transfers, or an effect is
-        forced that a scene has no data for.
+        spec: common part of the tasks.
+        Raises: InputError: the scene is unknown, the set is empty or too small for the transfers, or a scene lacks the
+        data for a forced effect.
         """
         elsewhere = config.attack.search_scenes + config.attack.transfer_scenes
         transfers = elsewhere if config.mode == "shape" else 0
-        # The catalogue lives as long as the plan is made, so its identity stands for its content.
+        # The catalogue lives while the plan is made, so its id() identifies its content.
         key = (id(catalogue), config.scene, transfers, spec.detector, repr(config.effects))
         if key not in self._known:
             self._known[key] = self._layout(config, catalogue, transfers)
@@ -87,7 +86,7 @@ class Layouts:
         return _Layout(place, kind, tuple(kinds))
 
     def _own(self, config: Config, catalogue: Catalogue) -> list[int]:
-        """Positions of the scenes that settings ask for."""
+        """Return the positions of the scenes that the settings select."""
         own = [at for at, entry in enumerate(catalogue.scenes) if config.scene in (None, entry.name)]
         if not own and config.scene is not None:
             names = [entry.name for entry in catalogue.scenes]
@@ -99,8 +98,8 @@ class Layouts:
         return own
 
     def _others(self, own: Sequence[int], scenes: int, count: int) -> list[list[int]]:
-        """Of each scene those that its shape is put into: the ones after it in the set, the first one after the last.
-        Tasks that follow each other share all of theirs but one, and a worker has these loaded."""
+        """Return, for each scene, the other scenes of its shape: the next ones in the set, cyclically. Consecutive
+        tasks share all but one of these scenes, and a worker has them loaded."""
         if count >= scenes:
             what = f"attack.search_scenes and transfer_scenes need {count} scenes, and the set has {scenes - 1} others"
             remedy = f"Give scenes.count={count + 1} or more, or fewer of them"

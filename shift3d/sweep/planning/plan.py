@@ -1,4 +1,4 @@
-"""The plan: every task of a sweep, in order, with its id."""
+"""Plan of a sweep: all its tasks, in order, with their ids."""
 
 from __future__ import annotations
 
@@ -28,19 +28,17 @@ from shift3d.task.exchange import AssetsSpec
 from shift3d.task.spec import BUDGET_RULE, AttackSpec, PlacementSpec, TaskSpec
 from shift3d.vehicles.parameter_box import kind_and_number
 
-# Begins what a sweep's hash is taken of. It was the schema version once, and stays: a folder that an older
-# program began is the same sweep.
+# First value of a sweep's hash. It never changes, so that a folder of an older program stays the same sweep.
 _IDENTITY = 5
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A sweep's tasks in order, without duplicates.
+    """Tasks of a sweep in order, without duplicates.
 
-    settings: of the first task, for the reader. axes: key to values as they were written.
-    effects: what was decided about each effect for each scene.
-    skipped: scenes that cannot be read and are left out, name to why. notes: lines for the reader, of no effect.
-    preview: the content of some scenes is not known, and ids are not those that the sweep will have.
+    settings: of the first task, for the reader. axes: key to values as they were written. effects: decision about each
+    effect for each scene. skipped: unreadable scenes that are left out, name to reason. notes: lines for the reader,
+    without effect on results. preview: the content of some scenes is unknown, so ids differ from those of the sweep.
     """
 
     sweep: str
@@ -56,7 +54,7 @@ class Plan:
 
     @property
     def common_settings(self) -> dict[str, Any]:
-        """The settings without those that are an axis: what is true of every task."""
+        """Settings of every task: those that are no axis."""
         common = copy.deepcopy(self.settings)
         for key in self.axes:
             *parents, leaf = key.split(".")
@@ -65,12 +63,12 @@ class Plan:
 
     @functools.cached_property
     def spec_hash(self) -> str:
-        """64-bit BLAKE2b of the sweep's name and its task ids, hex: what makes two output folders the
-        same. Raises ValueError for a preview, which has no hash yet."""
+        """Hash of the sweep's name and its task ids (64-bit BLAKE2b, hex), which identifies an output folder. Raises
+        ValueError for a preview, which has no hash yet."""
         if self.preview:
             raise ValueError("a preview has no hash")
         state = hashlib.blake2b(json.dumps([_IDENTITY, self.sweep]).encode()[:-1] + b", [", digest_size=8)
-        # The JSON of the list of ids, from their column: ids have one length and nothing to be escaped.
+        # JSON of the list of ids, made from their column: ids need no escapes.
         for start in range(0, len(self.tasks), _HASHED):
             ids = '", "'.join(self.tasks.ids[start : start + _HASHED].to_pylist())
             state.update(f'{", " if start else ""}"{ids}"'.encode())
@@ -78,14 +76,14 @@ class Plan:
         return state.hexdigest()
 
 
-_HASHED = 65_536  # ids that are text at a time
+_HASHED = 65_536  # ids per update of the hash
 
 
 def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -> tuple[Plan, Config]:
     """Expand a sweep into its tasks.
 
-    Combinations that ask for the same task (a pose attack under several lambda) give one task, at its first
-    place in the order. Scenes vary fastest.
+    Combinations with the same task (a pose attack under several lambda) give one task, at its first place in the order.
+    Scenes vary fastest.
 
     Returns: the plan, and the settings of its first task (for ``runner`` and ``tracking``).
 
@@ -100,7 +98,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
     decided = EffectChoices()
     layouts = Layouts(builder, decided, where)
     several = math.prod(len(axis.values) for axis in composed.axes)
-    # Vehicles that have to be decoded take seconds each.
+    # Decoding takes seconds per vehicle.
     combinations = progress_bar(expand(composed), desc="planning", total=several, leave=False, delay=5.0)
     for config in combinations:
         first = first or config
@@ -136,7 +134,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
 
 def _assets_key(config: Config) -> str:
     parts = (config.scenes, config.detector, config.accuracy, config.naturalness)
-    # What a catalogue refuses for some detectors alone: an axis of it is checked at every value.
+    # A catalogue checks these settings for some detectors only: every value of such an axis is checked.
     placement = config.attack.placement
     checked = [config.attack.search, placement.min_range_m, placement.max_range_m, config.shift_m]
     if not {ONNX, *FOREIGN} & set(config.detector.named()):
@@ -162,7 +160,7 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
 
 
 def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
-    """A vehicle by its name, or by a beginning of it that is no other's; the number of a drawn one behind it."""
+    """Complete a vehicle's name from a unique beginning; the number of a drawn vehicle stays behind it."""
     name, names, where = config.vehicle.name, list(catalogue.vehicles), f"{where}, vehicle.name"
     kind, number = kind_and_number(name)
     for beginning, behind in ((name, ""), (kind, f"-{number}")):
@@ -176,15 +174,15 @@ def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
 
 
 def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
-    """What the tasks of one combination of settings have in common.
+    """Return the spec that the tasks of one combination of settings share.
 
-    Raises: InputError: vehicles may be put, or moved, beyond the grid of a shipped detector.
+    Raises: InputError: vehicles may be placed, or moved, beyond the grid of a shipped detector.
     """
     names, range_m = list(catalogue.detectors), config.attack.placement.max_range_m
     require_in_grid(names, catalogue.sector_rad, range_m, config.shift_m)
     attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})
     space_hash = "" if config.mode == "pose" else catalogue.space_hash(vehicle, config.attack)
-    if config.mode == "pose":  # what says where shapes may go says nothing of a pose: it makes no further task
+    if config.mode == "pose":  # settings of shapes must not change the id of a pose attack
         shapes_alone = ("space", "components", "naturalness", "search_scenes", "edit")
         attack |= {name: value for name, value in vars(AttackSpec()).items() if name in shapes_alone}
     centre, half_width = catalogue.sector_rad

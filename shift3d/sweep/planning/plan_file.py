@@ -1,8 +1,8 @@
-"""plan.parquet: a row a task; what tasks share is stored once.
+"""File plan.parquet: one row per task; values that tasks share are stored once.
 
 The spec of a task is its ``template`` and its ``task_scene``, two JSON texts that many tasks share and that the file
-holds once each; the other columns are for whoever reads the file with pandas, polars or duckdb. An id is
-worked out again from both when the file is read.
+stores once each; the other columns serve readers with pandas, polars or duckdb. Reading the file computes the ids again
+from both texts.
 
 Source: our choice.
 """
@@ -49,16 +49,16 @@ _SCHEMA = pa.schema(
     metadata={"shift3d.schema": "plan", "shift3d.schema_version": str(SCHEMA_VERSION)},
 )
 _READ = ["task_id", "effects_requested", "assets", "template", "task_scene"]
-# Older names of columns.
+# Column names of older files.
 _FORMER = {"ground": "template", "place": "task_scene", "effects_asked": "effects_requested"}
 _ROW_GROUP = 2**20
-# Each row group holds the texts that its rows share once; beyond this many bytes Parquet would repeat them.
+# Each row group stores shared texts once; beyond this many bytes Parquet would repeat them.
 _DICTIONARY_BYTES = 2**30
 _DAMAGE = (OSError, pa.ArrowException, KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError)
 
 
 def plan_bytes(tasks: Tasks) -> bytes:
-    """Tasks as a Parquet file; the same tasks give the same bytes."""
+    """Return tasks as a Parquet file; equal tasks give equal bytes."""
     columns = _columns(tasks)
     return parquet_bytes(
         pa.Table.from_arrays([columns[name] for name in _SCHEMA.names], schema=_SCHEMA),
@@ -99,7 +99,7 @@ def _columns(tasks: Tasks) -> dict[str, pa.Array]:
 
 
 def _shared(values: Sequence[str], which: np.ndarray) -> pa.Array:
-    """A text for each of ``which``, numbers into values; equal ones are stored once."""
+    """Return the text at each index of ``which`` into values; equal texts are stored once."""
     return pa.array(values, type=pa.string()).dictionary_encode().take(pa.array(which))
 
 
@@ -108,11 +108,10 @@ def _lists(values: Sequence[tuple[str, ...]], which: np.ndarray) -> pa.Array:
 
 
 def read_tasks(content: bytes, where: str) -> Tasks:
-    """The inverse of :func:`plan_bytes`; also of the files of earlier programs, which hold every spec in whole.
+    """Return the tasks of :func:`plan_bytes`; also reads files of older programs, which hold every spec in full.
 
     where: the file's path, for the error.
-
-    Raises: InputError: it is no plan, damaged, or an id in it is not its task's.
+    Raises: InputError: the file is no plan, damaged, or holds an id that is not its task's.
     """
     try:
         source = pa.BufferReader(content)
@@ -128,8 +127,7 @@ def read_tasks(content: bytes, where: str) -> Tasks:
 
 
 def other_requests(content: bytes, tasks: Tasks) -> tuple[str, ...]:
-    """The settings of effects that a plan of the same tasks was asked for with; none where they are the same ones, or
-    cannot be read."""
+    """Return the effect settings of a stored plan of the same tasks; () if equal to those of `tasks` or unreadable."""
     try:
         source = pa.BufferReader(content)
         name = next(name for name in pq.read_schema(source).names if _FORMER.get(name, name) == "effects_requested")
@@ -153,13 +151,13 @@ def _whole_specs(table: pa.Table) -> Tasks:
 
 
 def _tasks(table: pa.Table, former: bool) -> Tasks:
-    """former: a plan whose ids were computed from the older column names."""
+    """Convert a table to tasks. former: the ids were computed from older column names, so they are not checked."""
     for name in _READ:
         if table[name].null_count:
             raise ValueError(f"{name} is missing in {table[name].null_count} rows")
     templates, template = _numbered(table["template"])
     task_scenes, task_scene = _numbered(table["task_scene"])
-    # Labels hold no line feed: what is joined can be taken apart again.
+    # Labels contain no line feed, so the joined text can be split again.
     labels, requested = _numbered(pc.binary_join(table["effects_requested"], "\n"))
     specs = tuple(read_template(text) for text in templates.to_pylist())
     ids = _one_chunk(table["task_id"].cast(pa.string()))
@@ -179,7 +177,7 @@ def _tasks(table: pa.Table, former: bool) -> Tasks:
 
 
 def _numbered(column: pa.ChunkedArray) -> tuple[pa.Array, np.ndarray]:
-    """Distinct texts of a column, and of each row the number of its own."""
+    """Return the distinct texts of a column, and the index of each row's text."""
     if not pa.types.is_dictionary(column.type):
         column = pc.dictionary_encode(column)
     encoded = _one_chunk(column.unify_dictionaries())

@@ -1,4 +1,4 @@
-"""A plan in words."""
+"""Text view of a plan."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _READABLE = ("attack.", "accuracy.", "effects.", "scenes.")
 
 
 def plan_summary(plan: Plan) -> str:
-    """How many tasks, of what; and which effects their scenes call for."""
+    """Return the numbers of tasks, vehicles and scenes, and the effects of the scenes."""
     groups = plan.tasks.groups()
     vehicles = len({group.template.vehicle for group in groups})
     scenes, looked_at = len(plan.tasks.scenes()), len(plan.tasks.scene_names())
@@ -31,8 +31,8 @@ def plan_summary(plan: Plan) -> str:
 
 
 def merged_lines(tasks: Tasks) -> list[str]:
-    """Over which settings the printed AUCs are means, whether a column of the tables tells their values apart; and
-    scenes that none tells apart."""
+    """Return lines on the settings that the printed AUCs average over, and whether a table column separates their
+    values; and on scenes that no column separates."""
     mixed = merged_settings(tasks, of_a_data_set=True)
     by_dataset = [name for name in merged_settings(tasks) if name not in mixed]
     lines = [(mixed, "no column tells"), (by_dataset, "the column dataset tells")]
@@ -49,7 +49,7 @@ def merged_lines(tasks: Tasks) -> list[str]:
 
 
 def skipped_lines(plan: Plan) -> list[str]:
-    """Which scenes are left out because they cannot be read, and why."""
+    """Return lines on the unreadable scenes that are left out, with reasons."""
     if not plan.skipped:
         return []
     lines = [f"{counted(len(plan.skipped), 'scene')} left out that cannot be read (scenes.skip_bad):"]
@@ -59,11 +59,11 @@ def skipped_lines(plan: Plan) -> list[str]:
 
 
 def plan_lines(plan: Plan) -> Iterator[str]:
-    """One line a task: id, vehicle, scene, mode and what varies."""
+    """Yield one line per task: id, vehicle, scene, mode and the settings that vary."""
     width = max(len(group.template.vehicle) for group in plan.tasks.groups())
     scene_width = max(len(scene) for _, scene in plan.tasks.scenes())
     searches = len({group.template.search for group in plan.tasks.groups()}) > 1
-    # Hashes of vehicles and weights would tell nobody anything.
+    # Hashes of vehicles and weights mean nothing to a reader.
     names = [name for name in merged_settings(plan.tasks) if name.startswith(_READABLE)]
     for task in plan.tasks:
         spec = task.spec

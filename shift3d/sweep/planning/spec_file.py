@@ -1,4 +1,4 @@
-"""spec.yaml of a sweep, read without anything that a plan needs: who asks how a sweep is going waits for it."""
+"""Reader of a sweep's spec.yaml without the imports of a plan, since the status command waits for it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ _KINDS: dict[str, tuple[type, ...]] = {
     **{"sweep": (str,), "spec_hash": (str, int), "tasks": (int,)},
     **{"overrides": (list,), "axes": (dict,), "settings": (dict,)},
 }
-"""What every spec has: one that was cut short between two lines is YAML like any other. A hash of digits alone that
-somebody typed is a number."""
+"""Required keys and types: a truncated spec can be valid YAML. A hand-typed hash of digits alone is a number."""
 
 
 def read_spec(folder: LocationLike) -> dict[str, Any]:
-    """``spec.yaml`` of a sweep.
+    """Read ``spec.yaml`` of a sweep.
 
-    Raises: InputError: there is none, it cannot be read or was cut short, or it is of another schema version.
+    Raises: InputError: the file is absent, unreadable, truncated, or of a schema version that this program cannot read.
     """
     location = as_location(folder)
     path = location / "spec.yaml"

@@ -1,7 +1,7 @@
-"""Ids of many tasks at once: what tasks share is written and hashed once.
+"""Ids of many tasks at once: the parts that tasks share are serialized and hashed once.
 
-An id is that of `TaskSpec.task_id`, bit for bit. A task template is a spec without its scene. A task scene is what
-differs between the scenes of one template: the scene, its hash, and the other scenes that a shape is put into.
+An id equals `TaskSpec.task_id` bit for bit. A task template is a spec without its scene. A task scene is what differs
+between the scenes of one template: the scene, its hash, and the other scenes of its shape.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ import pyarrow as pa
 from shift3d.task.spec import TaskSpec, TransferScene
 
 TaskScene = tuple[str, str, tuple[TransferScene, ...]]
-"""A scene, the hash of its content, and the scenes of transfers."""
+"""Name of a scene, hash of its content, and the scenes of transfers."""
 _VARYING = ("scene", "scene_hash", "transfer_scenes")
 _DIGEST = 16
 
 
 def _json(value: Any) -> str:
-    """Canonical JSON, of other scenes by their fields. Raises TypeError for what is no plain value."""
+    """Return canonical JSON, with dataclasses as their fields. Raises TypeError for other objects."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=dataclasses.asdict)
 
 
 def in_scene(template: TaskSpec, task_scene: TaskScene, task_id: str) -> TaskSpec:
-    """The spec of a template in a scene. task_id: its id, which is not computed again."""
+    """Return the spec of a template in a scene. task_id: its id, which is not computed again."""
     scene, scene_hash, others = task_scene
     spec = dataclasses.replace(template, scene=scene, scene_hash=scene_hash, transfer_scenes=others)
     vars(spec)["task_id"] = task_id  # where functools.cached_property looks for it
@@ -37,7 +37,7 @@ def in_scene(template: TaskSpec, task_scene: TaskScene, task_id: str) -> TaskSpe
 
 
 def template_json(template: TaskSpec) -> str:
-    """The one spelling of a template: its canonical JSON without the scene."""
+    """Return the canonical JSON of a template, without the scene."""
     return _json(_shared_values(template))
 
 
@@ -46,17 +46,17 @@ def _shared_values(template: TaskSpec) -> dict[str, Any]:
 
 
 def read_template(text: str) -> TaskSpec:
-    """The inverse of :func:`template_json`. Raises ValueError, KeyError or TypeError for another text or version."""
+    """Parse the text of :func:`template_json`. Raises ValueError, KeyError or TypeError for another text or version."""
     return TaskSpec.from_dict({**json.loads(text), "scene": "", "scene_hash": ""})
 
 
 def task_scene_json(task_scene: TaskScene) -> str:
-    """The one spelling of a task scene."""
+    """Return the canonical JSON of a task scene."""
     return _json(dict(zip(_VARYING, task_scene, strict=True)))
 
 
 def read_task_scene(text: str) -> TaskScene:
-    """The inverse of :func:`task_scene_json`. Raises ValueError, KeyError or TypeError for another text."""
+    """Parse the text of :func:`task_scene_json`. Raises ValueError, KeyError or TypeError for another text."""
     values = json.loads(text)
     return values["scene"], values["scene_hash"], tuple(map(TransferScene.of, values.get("transfer_scenes", ())))
 
@@ -64,7 +64,7 @@ def read_task_scene(text: str) -> TaskScene:
 def task_ids(
     templates: Sequence[TaskSpec], task_scenes: Sequence[TaskScene], template: np.ndarray, task_scene: np.ndarray
 ) -> pa.Array:
-    """The id of each task, an Arrow array of strings.
+    """Return the id of each task, an Arrow array of strings.
 
     Args: template, task_scene: int32, of each task: indices into ``templates`` and ``task_scenes``.
     """
@@ -80,7 +80,7 @@ def task_ids(
 
 
 def _digests(template: TaskSpec, texts: Sequence[tuple[str, str, str]], task_scenes: Sequence[int]) -> bytes:
-    """The digests of one template's tasks, one after the other: all up to the scene is hashed once."""
+    """Return the concatenated digests of one template's tasks; the part before the scene is hashed once."""
     start, between, before_transfers, end = _template_parts(template)
     shared = hashlib.blake2b(start.encode(), digest_size=_DIGEST)
     found = []
@@ -93,7 +93,7 @@ def _digests(template: TaskSpec, texts: Sequence[tuple[str, str, str]], task_sce
 
 
 def _template_parts(template: TaskSpec) -> tuple[str, str, str, str]:
-    """The canonical JSON of a spec, cut where the scene, its hash and the scenes of transfers stand."""
+    """Return the canonical JSON of a spec, cut at the scene, its hash and the scenes of transfers."""
     values = _shared_values(template)
     first, second, third = _VARYING
     cuts: list[list[str]] = [[], [], [], []]

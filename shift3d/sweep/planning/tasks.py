@@ -1,4 +1,4 @@
-"""A plan's tasks as columns: a million of them in a few tens of megabytes, shared between processes without a copy."""
+"""Tasks of a plan as columns: a million take a few tens of megabytes, and processes share them without a copy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Value = TypeVar("Value", bound=Hashable)
 
 
 def numbered(values: Iterable[Value]) -> tuple[list[Value], np.ndarray]:
-    """Distinct values in the order in which they first come, and of each value its place among them, (N,) int64."""
+    """Return the distinct values in order of first appearance, and the index of each value among them, (N,) int64."""
     places: dict[Value, int] = {}
     found = np.array([places.setdefault(value, len(places)) for value in values], dtype=np.int64)
     return list(places), found
@@ -29,7 +29,7 @@ def numbered(values: Iterable[Value]) -> tuple[list[Value], np.ndarray]:
 
 @dataclass(frozen=True)
 class PlannedTask:
-    """A task and what its worker needs loaded (an index into ``Plan.assets``).
+    """Task, and the index of its assets in ``Plan.assets``.
 
     effects_requested: settings of effects that lead to this task, one or more: "auto", "none", or names joined by +.
     """
@@ -41,7 +41,7 @@ class PlannedTask:
 
 @dataclass(frozen=True)
 class TaskGroup:
-    """Tasks that differ in their scene alone. template: their spec without its scene. tasks: how many there are."""
+    """Tasks that differ only in their scene. template: their spec without the scene. tasks: number of tasks."""
 
     template: TaskSpec
     effects_requested: tuple[str, ...]
@@ -52,8 +52,8 @@ class TaskGroup:
 class Tasks(Sequence[PlannedTask]):
     """Tasks in plan order. ``tasks[i]`` is made on access; a slice is Tasks again.
 
-    Its columns are Arrow and NumPy buffers, which pickle (protocol 5) passes out of band: Ray's object store holds
-    them once for all workers of a machine, so that a worker can be given the tasks once and positions a call.
+    The columns are Arrow and NumPy buffers, which pickle (protocol 5) passes out of band: Ray's object store holds them
+    once for all workers of a machine, so that a worker gets the tasks once and only positions with each call.
 
     templates: specs without their scene. task_scenes: JSON, see `task_ids.task_scene_json`. template, task_scene,
     assets, requested: int32, of each task: indices into templates, task_scenes, ``Plan.assets`` and requested_values.
@@ -92,7 +92,7 @@ class Tasks(Sequence[PlannedTask]):
         return (self[index] for index in range(len(self)))
 
     def __eq__(self, other: object) -> bool:
-        """Whether the same tasks stand in the same order, with the same assets and settings of effects."""
+        """True if both have the same tasks in the same order, with the same assets and requested effects."""
         if not isinstance(other, Tasks):
             return NotImplemented
         same = self.ids.equals(other.ids) and np.array_equal(self.assets, other.assets)
@@ -101,17 +101,17 @@ class Tasks(Sequence[PlannedTask]):
     __hash__ = None  # type: ignore[assignment]
 
     def select(self, positions: Sequence[int] | np.ndarray) -> Tasks:
-        """The tasks at some positions, in the order of the positions. Raises IndexError beyond the last one."""
+        """Return the tasks at the positions, in that order. Raises IndexError beyond the last task."""
         chosen = np.asarray(positions, dtype=np.int64)
         columns = {name: getattr(self, name)[chosen] for name in ("template", "task_scene", "assets", "requested")}
         return replace(self, **columns, ids=self.ids.take(pa.array(chosen)))
 
     def starting_with(self, prefix: str) -> Tasks:
-        """The tasks whose id begins with a text."""
+        """Return the tasks whose id begins with ``prefix``."""
         return self.select(np.flatnonzero(pc.starts_with(self.ids, prefix).to_numpy(zero_copy_only=False)))
 
     def one(self, prefix: str, where: str) -> PlannedTask:
-        """The task whose id begins with a text. where: for the error. Raises InputError: there is none, or several."""
+        """Return the one task whose id begins with ``prefix``. where: for the error. Raises InputError otherwise."""
         found = self.starting_with(prefix)
         if len(found) != 1:
             what = f"{counted(len(found), 'task')} with an id that begins with {prefix!r}"
@@ -119,12 +119,12 @@ class Tasks(Sequence[PlannedTask]):
         return found[0]
 
     def without(self, ids: Collection[str]) -> np.ndarray:
-        """Positions of the tasks whose id is not among some, in order."""
+        """Return the positions of the tasks whose id is not in ``ids``, in order."""
         found = pc.is_in(self.ids, value_set=pa.array(list(ids), type=pa.string()))
         return np.flatnonzero(~found.to_numpy(zero_copy_only=False))
 
     def groups(self) -> list[TaskGroup]:
-        """The tasks counted by what does not depend on the scene, in the order of each group's first task."""
+        """Return the tasks grouped by all but their scene, with counts, in the order of each group's first task."""
         key = self.template.astype(np.int64) * len(self.requested_values) + self.requested
         keys, first, counts = np.unique(key, return_index=True, return_counts=True)
         found = []
@@ -134,9 +134,9 @@ class Tasks(Sequence[PlannedTask]):
         return found
 
     def kinds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tasks that differ in which scenes they are in alone, not in how many their shape is put into.
+        """Group the tasks that differ only in their scenes, and not in the number of scenes of transfers.
 
-        Returns: the position of each kind's first task, ascending, and of each task its kind.
+        Returns: the position of each kind's first task, ascending, and the kind of each task.
         """
         others = np.array([len(others) for *_, others in self._scenes], dtype=np.int64)[self.task_scene]
         key = self.template.astype(np.int64) * (int(others.max(initial=0)) + 1) + others
@@ -149,19 +149,19 @@ class Tasks(Sequence[PlannedTask]):
         return [read_task_scene(text) for text in self.task_scenes.to_pylist()]
 
     def scenes(self) -> list[tuple[str, str]]:
-        """The scenes that tasks are in, (data set, name), in the order of their first task."""
+        """Return the scenes of the tasks as (data set, name), in the order of their first task."""
         names, dataset = numbered(template.dataset for template in self.templates)
         keys, first = np.unique(dataset[self.template] * len(self.task_scenes) + self.task_scene, return_index=True)
         pairs = (divmod(int(keys[index]), len(self.task_scenes)) for index in np.argsort(first))
         return list(dict.fromkeys((names[code], self._scenes[task_scene][0]) for code, task_scene in pairs))
 
     def scene_names(self) -> set[str]:
-        """Names of the scenes that tasks are in, or that their shapes are put into."""
+        """Return the names of the scenes of the tasks, and of the scenes that their shapes are put into."""
         return {name for own, _, others in self._scenes for name in (own, *(other.scene for other in others))}
 
     def ambiguous_scenes(self) -> list[tuple[str, str]]:
-        """(data set, name) of scenes that differ in their content although name and `scene_arguments` are the same, as
-        frames of two folders do; in the order of their first task. Contents that are not known yet are left out."""
+        """Return (data set, name) of scenes with equal name and `scene_arguments` but different content, such as frames
+        of two folders, in the order of their first task. Unknown contents are ignored."""
         made, kind = numbered((t.dataset, json.dumps(t.scene_arguments, sort_keys=True)) for t in self.templates)
         known, scene = numbered(scene[:2] for scene in self._scenes)
         keys, first = np.unique(kind[self.template] * len(known) + scene[self.task_scene], return_index=True)
@@ -173,8 +173,8 @@ class Tasks(Sequence[PlannedTask]):
         return list(dict.fromkeys(alike))
 
     def effects_requested_of(self, ids: Any) -> list[list[str]]:
-        """The settings of effects that lead to tasks, by their ids (any sequence that Arrow takes); none for an id of
-        no task."""
+        """Return the effect settings that lead to tasks, by id (any sequence that Arrow takes). An unknown id gets
+        none, or the only settings of the plan."""
         if len(self.requested_values) == 1:
             return [list(self.requested_values[0])] * len(ids)
         found = pc.index_in(pa.array(ids, type=pa.string()), value_set=self.ids).to_pylist()
@@ -182,10 +182,10 @@ class Tasks(Sequence[PlannedTask]):
 
 
 def merged_settings(tasks: Tasks, of_a_data_set: bool = False) -> list[str]:
-    """Settings with several values that an AUC is the mean over.
+    """Return the settings with several values that an AUC averages over.
 
-    of_a_data_set: those alone that no column of the tables tells apart, the name of the data set included. Replicates
-    and seeds are meant to be averaged and are not among them.
+    of_a_data_set: only settings that vary within a data set, which no table column separates. Replicates and seeds are
+    meant to be averaged and are excluded.
     """
     seen: dict[tuple[object, ...], dict[str, list[Any]]] = {}
     for group in tasks.groups():
@@ -202,17 +202,17 @@ def merged_settings(tasks: Tasks, of_a_data_set: bool = False) -> list[str]:
 
 
 def setting_values(spec: TaskSpec, names: Collection[str]) -> dict[str, Any]:
-    """Values of some of the settings that `merged_settings` names, of those that the task has."""
+    """Return the values of the named settings of `merged_settings` that the task has."""
     return {name: value for name, value in _without_column(spec).items() if name in names}
 
 
 _OF_A_DATA_SET = ("kind", "sensor", "beams")
 _OF_EVERY_SCENE = (*_OF_A_DATA_SET, "seed", "count", "start", "root", "names", "split")
-"""Settings that say which scenes there are, not what they are like; the columns hold data set and scene."""
+"""Settings that select scenes or say what kind they are; the columns hold data set and scene."""
 
 
 def _without_column(spec: TaskSpec) -> dict[str, Any]:
-    """What the columns of the tables do not say of a template, by the name of its setting."""
+    """Return the settings of a template that no table column holds, by name."""
     own = ("search", "space_hash", "budget_rule")
     attack = {name: value for name, value in vars(spec.attack).items() if name not in own}
     detector = {name: value for name, value in spec.accuracy_settings.items() if name == "detector"}

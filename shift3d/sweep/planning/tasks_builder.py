@@ -1,4 +1,4 @@
-"""Tasks put together from what each combination of settings asks for, each task once."""
+"""Builder of a plan's tasks from the tasks of each combination of settings, each task once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from shift3d.task.spec import TaskSpec
 
 @dataclasses.dataclass
 class _Chunk:
-    """What one combination of settings asks for: task_scenes in the builder's lists."""
+    """Tasks of one combination of settings. template, task_scene: indices into the builder's lists."""
 
     template: np.ndarray
     task_scene: np.ndarray
@@ -24,7 +24,7 @@ class _Chunk:
 
 
 class TasksBuilder:
-    """Collects tasks; one that is added twice is one task, at its first place in the order."""
+    """Builder of tasks; a task that is added twice is one task, at its first place in the order."""
 
     def __init__(self) -> None:
         self._templates: dict[str, int] = {}
@@ -33,7 +33,7 @@ class TasksBuilder:
         self._chunks: list[_Chunk] = []
 
     def template(self, spec: TaskSpec) -> int:
-        """The number of a spec without its task_scene; the same for equal ones."""
+        """Return the number of a spec without its task scene; equal specs have one number."""
         template = dataclasses.replace(spec, scene="", scene_hash="", transfer_scenes=())
         number = self._templates.setdefault(template.canonical_json(), len(self._templates))
         if number == len(self._template_specs):
@@ -41,16 +41,16 @@ class TasksBuilder:
         return number
 
     def task_scene(self, task_scene: TaskScene) -> int:
-        """The number of a task_scene; the same for equal ones."""
+        """Return the number of a task scene; equal ones have one number."""
         return self._task_scenes.setdefault(task_scene, len(self._task_scenes))
 
     def add(self, template: np.ndarray, task_scene: np.ndarray, assets: int, requested: str) -> None:
-        """Tasks of one setting of effects, in order: numbers of their templates and their task_scenes."""
+        """Add tasks of one setting of effects, in order: numbers of their templates and task scenes."""
         chunk = _Chunk(template.astype(np.int32), task_scene.astype(np.int32), assets, requested)
         self._chunks.append(chunk)
 
     def tasks(self) -> Tasks:
-        """All tasks that were added, each once."""
+        """Return all added tasks, each once."""
         task_scenes = list(self._task_scenes)
         empty = np.zeros(0, dtype=np.int32)
         template = np.concatenate([empty, *(chunk.template for chunk in self._chunks)])
@@ -75,9 +75,9 @@ class TasksBuilder:
         )
 
     def _requested(self, task: np.ndarray, count: int) -> tuple[np.ndarray, tuple[tuple[str, ...], ...]]:
-        """Of each task the settings of effects that ask for it, in order, as numbers into their list.
+        """Return, for each task, the index of its tuple of requested effect settings, and the list of these tuples.
 
-        task: of everything that was added, in order, the task that it is.
+        task: task number of each added row, in order.
         """
         values: dict[tuple[str, ...], int] = {}
         requested = np.full(count, -1, dtype=np.int32)
@@ -94,7 +94,7 @@ class TasksBuilder:
 
 
 def tasks_of(planned: Iterable[PlannedTask]) -> Tasks:
-    """Planned tasks as columns, each once."""
+    """Return planned tasks as columns, each once."""
     builder = TasksBuilder()
     for task in planned:
         spec = task.spec

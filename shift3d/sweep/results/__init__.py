@@ -1,1 +1,1 @@
-"""What a sweep leaves: commits, the final tables, and what is computed from them."""
+"""Results of a sweep: commits, final tables, and values computed from them."""

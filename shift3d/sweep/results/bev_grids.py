@@ -1,4 +1,4 @@
-"""Bird's-eye-view grids: how far scores fall, by the cell that a vehicle stands in."""
+"""Bird's-eye-view grids: score reduction by the cell of the vehicle."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SHOWN_M = 50.0
 
 
 def groups(frame: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
-    """Groups in the order in which they first appear; a missing lambda (pose) is a value like any other."""
+    """Return the groups in order of first appearance; a missing lambda (pose) counts as a value."""
     grouped = frame.groupby(list(GROUP_COLUMNS), sort=False, dropna=False)
     return [
         ({name: None if value != value else value for name, value in zip(GROUP_COLUMNS, key)}, rows)
@@ -26,10 +26,9 @@ def groups(frame: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
 
 
 def bev_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
-    """Reduction of the score against the same task's baseline, in the cell where the vehicle was put.
+    """Compute the score reduction against the same task's baseline, by the cell of the vehicle's first place.
 
-    A pose attack moves the vehicle; its cell stays that of the baseline (our choice: the paper draws the grid
-    for shapes alone).
+    A pose attack moves the vehicle; its cell stays that of the baseline (our choice: the paper's grid is for shapes).
     """
     keys = ["task_id", "effects", "scored_by"]
     baseline = scored[scored["method"] == "baseline"].drop_duplicates(keys)[[*keys, "score", "x_m", "y_m"]]
@@ -42,10 +41,10 @@ def bev_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def transfer_rows(transfers: pd.DataFrame, reach_m: float) -> list[dict[str, Any]]:
-    """Reduction of the score of every shape that was put into other scenes, in the cell that it was put into.
+    """Compute the score reduction of every shape in other scenes, by the cell of its place there.
 
-    transfers: rows of the table, those without a place left out. reach_m: cells without a vehicle are rows too, of the
-    square of this half side, as far as vehicles stand and 50 m at least. Source: SHIFT3D fig. bev_score.
+    transfers: rows of the table; those without a score are ignored. reach_m: half side of the square whose empty cells
+    are rows too, limited to the farthest vehicle or to 50 m, if that is more. Source: SHIFT3D fig. bev_score.
     """
     placed = transfers[transfers["score"].notna()].assign(method="adversarial")
     reached_m = float(placed[["x_m", "y_m"]].abs().to_numpy().max(initial=0.0))

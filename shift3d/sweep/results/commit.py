@@ -1,4 +1,4 @@
-"""Outcomes to commits: few enough that a no-op task stays cheap, soon enough that a kill loses little."""
+"""Commits of outcomes: few enough that a no-op task stays cheap, frequent enough that a kill loses little."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from shift3d.store.log import CommitLog
 from shift3d.store.schemas import SEGMENTS
 from shift3d.sweep.execution.worker import BatchOutcome
 
-# Results that wait for their commit take no more memory than about this, whatever commit_seconds says.
+# Approximate memory limit of uncommitted results, whatever commit_seconds is.
 _MOST_BYTES = 64 * 2**20
 
 
 class Committer:
-    """Collects outcomes and commits them.
+    """Collector that commits outcomes.
 
-    Args: log: the sweep's log. every_s: a commit takes place when this long has passed since the last one.
+    Args: log: the sweep's log. every_s: time since the last commit after which the next one is due.
     """
 
     def __init__(self, log: CommitLog, every_s: float) -> None:
@@ -33,7 +33,7 @@ class Committer:
         self._bytes = 0
 
     def add(self, outcome: BatchOutcome) -> None:
-        """Take an outcome in, and commit where it is time.
+        """Add an outcome, and commit if a commit is due.
 
         Raises: TakenOverError, InputError: see ``CommitLog.commit``.
         """
@@ -47,9 +47,9 @@ class Committer:
             self.flush()
 
     def flush(self) -> None:
-        """Commit what there is. Raises as :meth:`add`."""
+        """Commit the collected outcomes. Raises as :meth:`add`."""
         if not (self._done or self._quarantined or any(self._tables.values())):
-            return  # and the first result that comes later waits for no clock
+            return  # the clock keeps running for the next result
         self._last = time.monotonic()
         tables = {name: pa.concat_tables(parts) for name, parts in self._tables.items() if parts}
         self._log.commit(tuple(self._done), tuple(self._quarantined), tables)

@@ -1,6 +1,6 @@
-"""The final tables: committed segments in plan order, and what is computed from them.
+"""Final tables: committed segments in plan order, and tables computed from them.
 
-Bytes depend on the plan and the results alone, never on who ran what when.
+The bytes depend only on the plan and the results, not on which worker ran a task or when.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 VERIFICATION = "verification"
-"""Where a verification lies in its sweep's folder: a sweep's folder itself, with a log and final tables."""
-_PLAN_GROUP = GROUP_COLUMNS[:11]  # what a task alone determines, and the detector that scores it
+"""Folder of a verification in its sweep's folder: itself a sweep's folder, with a log and final tables."""
+_PLAN_GROUP = GROUP_COLUMNS[:11]  # set by the task and the scoring detector
 _VERIFIED_KEY = ["task_id", "scored_by", "method", "replicate"]
 _VERIFIED = ("score_reference", "stable")
 
 
 @dataclass(frozen=True)
 class FinalTables:
-    """The tables of ``final/`` by name."""
+    """Tables of ``final/``, by name."""
 
     tables: dict[str, pa.Table]
 
     def frame(self, name: str) -> pd.DataFrame:
-        """One table as a data frame."""
+        """Return one table as a data frame."""
         frame: pd.DataFrame = self.tables[name].to_pandas()
         return frame
 
@@ -51,8 +51,8 @@ class FinalTables:
 def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
     """Write every table of ``final/`` from the commit log.
 
-    Raises: InputError: a segment is missing, torn or of another length than was committed; a verification that is
-    damaged or of another version; the disk is full.
+    Raises: InputError: a segment is missing, torn or of another length than was committed; a score lacks its place; a
+    verification is damaged or of another version; the disk is full.
     """
     folder = as_location(folder)
     tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in SWEPT}
@@ -85,7 +85,7 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
 
 
 def with_verification(scores: pa.Table, verification: pa.Table) -> pa.Table:
-    """The scores with ``score_reference`` and ``stable`` of every row that was verified; order and the rest as is."""
+    """Return the scores with ``score_reference`` and ``stable`` of every verified row; nothing else changes."""
     rows = verification.select([*_VERIFIED_KEY, *_VERIFIED]).to_pylist()
     known = {tuple(row[name] for name in _VERIFIED_KEY): row for row in rows}
     keys = zip(*(scores[name].to_pylist() for name in _VERIFIED_KEY), strict=True)
@@ -97,18 +97,18 @@ def with_verification(scores: pa.Table, verification: pa.Table) -> pa.Table:
 
 
 def check_segments(folder: LocationLike, entries: Sequence[Commit]) -> None:
-    """Read what `write_final` would read, before work that ends with it. Raises: InputError as it does."""
+    """Read all that `write_final` reads, before work that ends with it. Raises InputError as it does."""
     for name in SWEPT:
         committed_rows(folder, entries, name)
 
 
 def _by_effects_requested(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
-    """Scores with the effects that were asked for; where several settings lead to one task, a row for each."""
+    """Return scores with requested effects; a task of several settings gets a row for each."""
     return scored.assign(effects=plan.tasks.effects_requested_of(scored["task_id"])).explode("effects")
 
 
 def segments_in_plan_order(folder: LocationLike, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
-    """One segment table of everything committed, rows by their task's place in the plan, within a task as it gave them.
+    """Return all committed rows of one table in plan order; rows of a task keep their order (attempts: by number).
 
     Raises: InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
@@ -163,7 +163,7 @@ _Planned = dict[tuple[Any, ...], tuple[int, list[str]]]
 
 
 def _planned(plan: Plan) -> _Planned:
-    """By group, how many tasks there are and what they score; draws, noisy copies and edits only where asked for."""
+    """Return the number of tasks and the methods of each group; draws, noisy copies and edits only if requested."""
     found: _Planned = {}
     for group in plan.tasks.groups():
         spec, attack = group.template, group.template.attack
@@ -179,7 +179,7 @@ def _planned(plan: Plan) -> _Planned:
 
 
 def _gaps(rows: list[dict[str, Any]], planned: _Planned) -> list[dict[str, Any]]:
-    """Rows without an AUC for what was planned and has no score at all: a gap is shown, never left out."""
+    """Return rows without an AUC for planned groups without any score, so that a gap is visible."""
     seen = {(*(row[name] for name in _PLAN_GROUP), row["method"]) for row in rows}
     gaps = []
     for key, (count, methods) in planned.items():

@@ -1,6 +1,6 @@
-"""The paper's rules for lambda and alpha, applied to a sweep's own scores, with the reasons.
+"""Choice of lambda and alpha by the paper's rules, from a sweep's own scores, with the reasons.
 
-Source: SHIFT3D section Hyper-parameters and its supplement. alpha: the lowest AUC of what the search found. lambda: for
+Source: SHIFT3D section Hyper-parameters and its supplement. alpha: the lowest AUC of the search's results. lambda: for
 each vehicle the lowest adversarial loss, and 'in cases where different settings of λ produce very similar loss values,
 we will choose the larger λ'.
 """
@@ -15,19 +15,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NEARLY_EQUAL = 0.05
-"""Losses this share above the lowest count as 'very similar' to it. Our choice: the paper gives no number."""
+"""Share above the lowest loss up to which a loss is 'very similar'. Our choice: the paper gives no number."""
 RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "search", "effects")
-"""What lambda is chosen for. alpha is chosen for all vehicles together."""
+"""Columns that distinguish the choices of lambda. alpha is chosen for all vehicles together."""
 _ALPHA_KEYS = ("mode", "detector", "accuracy", "search", "effects")
 _SCENE = ["dataset", "scene"]
 
 
 def select_lambda(mean_loss: Mapping[float, float]) -> float:
-    """The lambda with the lowest mean adversarial loss, or a larger one whose loss is nearly equal to it.
+    """Return the lambda with the lowest mean adversarial loss, or the largest one whose loss is nearly equal to it.
 
     Args: mean_loss: lambda to the mean of L_adv over the scenes that were scored under every lambda.
-
-    Raises: ValueError: no lambda.
+    Raises: ValueError: mean_loss is empty.
     """
     if not mean_loss:
         raise ValueError("no lambda to choose from")
@@ -37,10 +36,10 @@ def select_lambda(mean_loss: Mapping[float, float]) -> float:
 
 @dataclass(frozen=True)
 class Choice:
-    """One value chosen of several.
+    """One value chosen from candidates.
 
-    found: candidate to what it came to, a mean adversarial loss (lambda) or an AUC (alpha). tasks: behind each: scenes
-    (lambda) or vehicles in scenes (alpha), however many places a vehicle was put into there.
+    found: candidate to its mean adversarial loss (lambda) or AUC (alpha). tasks: number behind each candidate: scenes
+    (lambda) or vehicles in scenes (alpha), regardless of the number of places of a vehicle in a scene.
     """
 
     found: Mapping[float, float]
@@ -49,10 +48,10 @@ class Choice:
 
 
 def choose_lambdas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
-    """The choice for every vehicle, by `RULE_KEYS`, from the scenes that were scored under every lambda.
+    """Choose lambda for every vehicle, by `RULE_KEYS`, from the scenes that were scored under every lambda.
 
-    scored: rows of scores that have one, `effects` as asked for. From the attacked detector's loss, whoever else
-    scores: lambda belongs to the search.
+    scored: rows with a score, `effects` as requested. Only the attacked detector's loss is used, since lambda belongs
+    to the search.
     """
     rows = _found(scored)
     rows = rows[(rows["mode"] != "pose") & rows["adversarial_loss"].notna()]
@@ -65,13 +64,13 @@ def choose_lambdas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
 
 
 def choose_alphas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
-    """The choice for shape and for pose, by (mode, detector, accuracy, search, effects).
+    """Choose alpha for shape and for pose, by (mode, detector, accuracy, search, effects).
 
-    AUC is the mean over vehicles, each with the lambda that is chosen for it under that alpha, over the scenes that
-    were scored under every alpha; of equal ones the smaller alpha.
+    The AUC is the mean over vehicles, each with its chosen lambda under that alpha, over the scenes that were scored
+    under every alpha. Of equal AUCs the smaller alpha is chosen.
     """
     rows = _found(scored)
-    rows = rows[rows["search"].str.startswith("descent")]  # no other search has step sizes of alpha
+    rows = rows[rows["search"].str.startswith("descent")]  # only descent has step sizes of alpha
     lambdas = {key: choice.chosen for key, choice in choose_lambdas(scored).items()}
     if rows.empty:
         return {}
@@ -88,7 +87,7 @@ def choose_alphas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
 
 
 def choice_rows(scored: pd.DataFrame, sweep: str, steps: set[int]) -> list[dict[str, Any]]:
-    """Rows of ``choices``: every candidate of everything that there was a choice of, and why one was taken."""
+    """Return the rows of ``choices``: all candidates of every choice, and why one was chosen."""
     rows: list[dict[str, Any]] = []
     known = {"sweep": sweep}
     alphas, lambdas = choose_alphas(scored), choose_lambdas(scored)
@@ -107,7 +106,7 @@ def choice_rows(scored: pd.DataFrame, sweep: str, steps: set[int]) -> list[dict[
 def _distinguished(
     named: Mapping[str, Any], keys: Sequence[str], chosen: Mapping[tuple[Any, ...], Choice], known: Sequence[str]
 ) -> list[str]:
-    """What a choice is for, beside what is known of it, where a sweep's choices differ in it."""
+    """Return the keys, apart from known ones, in which a sweep's choices differ, with their values."""
     differ = [name for at, name in enumerate(keys) if name not in known and len({key[at] for key in chosen}) > 1]
     return [f"{name} {named[name]}" for name in differ]
 
@@ -117,7 +116,7 @@ def _found(scored: pd.DataFrame) -> pd.DataFrame:
 
 
 def _common(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows that have all columns; all rows where none has."""
+    """Return the rows with values in all columns; all rows if there are none."""
     common = table.dropna()
     return common if len(common) else table
 

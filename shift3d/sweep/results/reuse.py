@@ -1,7 +1,7 @@
-"""Finished tasks of another sweep taken over: a grown grid runs what is new in it.
+"""Reuse of finished tasks of another sweep: an extended grid runs only its new tasks.
 
-A task's id is of everything that can change its result, so the same id in another folder is the same result.
-Rows are copied into segments of this folder, which stays whole without the other one.
+A task's id covers everything that can change its result, so the same id in another folder is the same result. Rows are
+copied into segments of this folder, which stays complete without the other one.
 
 Source: our choice.
 """
@@ -24,12 +24,12 @@ _TASKS_A_COMMIT = 100_000
 
 
 def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
-    """Commit what another sweep has finished of a plan's tasks, and this one has not; returns how many.
+    """Commit the tasks of a plan that another sweep has finished and this one has not. Return their number.
 
-    The other sweep may have any name, be unfinished or be running: what it has committed counts, what it quarantined
-    does not. A task's rows are committed with it or not at all, so that a driver that is killed here loses nothing.
+    The other sweep may have any name, be unfinished or be running: its commits count, its quarantined tasks do not. A
+    task's rows are committed with the task or not at all, so that a killed driver loses nothing.
 
-    Raises: InputError: the folder is no sweep's, of another schema version, or damaged; as `CommitLog.commit`.
+    Raises: InputError: the folder is no sweep's, of an unreadable schema version, or damaged; as `CommitLog.commit`.
     """
     spec, entries = read_spec(other), read_log(other)
     foreign = [entry for entry in entries if entry.spec_hash != spec["spec_hash"]]
@@ -52,7 +52,6 @@ def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
 
 
 def _renamed(table: pa.Table, sweep: str) -> pa.Table:
-    """Rows under this sweep's name, whatever the one was called that they come from."""
     place = table.schema.get_field_index("sweep")
     if place < 0:
         return table

@@ -1,4 +1,4 @@
-"""Calls in flight: which tasks they hold, how long they have been out, and which of them have a speculative copy."""
+"""Calls in flight to Ray workers: their tasks, their durations, and their speculative copies."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 
 from shift3d.sweep.execution.ray.worker_pool import PooledWorker
 
-# A call that takes this many times the usual time gets a speculative copy, once a worker is idle.
+# A call that takes this many times the usual time gets a speculative copy on an idle worker.
 _STRAGGLES = 3.0
 
 
 @dataclass(eq=False)
 class Call:
-    """Tasks that a worker runs. attempt: the number of this try. copy: a speculative copy, on another worker."""
+    """Tasks that a worker runs. attempt: number of this try. copy: other call of the same tasks, on another worker."""
 
     reference: Any
     worker: PooledWorker
@@ -23,19 +23,19 @@ class Call:
     began: float = field(default_factory=time.monotonic)
     began_unix_s: float = field(default_factory=time.time)
     copy: Call | None = None
-    # Asked where it is: the answer to come and since when, and when to ask again.
+    # Query of the worker's status: pending answer, time of the query, and time for the next query.
     question: Any = None
     questioned_at: float = 0.0
     ask_at: float = float("inf")
 
     @property
     def seconds(self) -> float:
-        """Since it was given out."""
+        """Time since the call was given out."""
         return time.monotonic() - self.began
 
 
 class Calls:
-    """The calls in flight by the reference that is ready when they end."""
+    """Calls in flight, by the reference that is ready when a call ends. least_s: minimum duration of a straggler."""
 
     def __init__(self, least_s: float) -> None:
         self._by_reference: dict[Any, Call] = {}
@@ -47,25 +47,25 @@ class Calls:
         return len(self._by_reference) - len(self._superseded)
 
     def live(self) -> list[Call]:
-        """Calls whose result is waited for, the oldest first."""
+        """Return the calls whose result is wanted, oldest first."""
         return [call for call in self._by_reference.values() if call.reference not in self._superseded]
 
     def every(self) -> list[Call]:
-        """All of them, those that another one has superseded included, the oldest first."""
+        """Return all calls, superseded ones included, oldest first."""
         return list(self._by_reference.values())
 
     @property
     def references(self) -> list[Any]:
-        """Of every call, those that another one has superseded included."""
+        """References of all calls, superseded ones included."""
         return list(self._by_reference)
 
     def add(self, call: Call) -> None:
-        """A call was given out."""
+        """Register a call that was given out."""
         call.worker.running = True
         self._by_reference[call.reference] = call
 
     def pop(self, reference: Any) -> tuple[Call, bool]:
-        """A call that ended, and whether its result is wanted: of two copies the first to end."""
+        """Remove an ended call. Return the call, and True if its result is wanted: of two copies, the first to end."""
         call = self._by_reference.pop(reference)
         call.worker.running = False
         wanted = reference not in self._superseded
@@ -73,18 +73,18 @@ class Calls:
         return call, wanted
 
     def finished(self, call: Call, tasks: int, seconds: float) -> None:
-        """A call gave its result: its copy's is not wanted any more. tasks, seconds: what it ran, for `straggler`."""
+        """Record a call with a result, and mark its copy superseded. tasks, seconds: of the call, for `straggler`."""
         if call.copy is not None and call.copy.reference in self._by_reference:
             self._superseded.add(call.copy.reference)
         if tasks:
             self._per_task_s = [*self._per_task_s[-99:], seconds / tasks]
 
     def copy_of(self, call: Call) -> Call | None:
-        """The copy that is still in flight."""
+        """Return the copy of a call if it is still in flight, else None."""
         return call.copy if call.copy is not None and call.copy.reference in self._by_reference else None
 
     def straggler(self) -> Call | None:
-        """The call that is out longest beyond what is usual and has no copy yet."""
+        """Return the oldest call that far exceeds the usual time and has no copy, or None."""
         if not self._per_task_s:
             return None
         usual = sorted(self._per_task_s)[len(self._per_task_s) // 2]

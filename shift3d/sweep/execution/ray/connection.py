@@ -1,4 +1,4 @@
-"""Connecting to Ray: a private one on this machine, or a cluster that is running."""
+"""Connection to Ray: a private instance on this machine, or a running cluster."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shift3d.processor import usable_cpus
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.token import require_token
 
-# Counters and events of a private Ray, which go to a dashboard that is not there.
+# A private Ray has no dashboard that could show these counters and events.
 _UNCOUNTED = {
     "enable_metrics_collection": False,
     "enable_open_telemetry": False,
@@ -28,14 +28,13 @@ _UNCOUNTED = {
 
 
 def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
-    """Ray, started or joined: the module, ready to use.
+    """Start or join Ray, and return the module, ready to use.
 
-    A private Ray listens on loopback alone, has no dashboard and none of its counters, and asks whoever comes for the
+    A private Ray listens on loopback only, has no dashboard and none of its counters, and asks every client for the
     token of its owner.
 
-    tasks_left: a private Ray needs no more workers than this.
-
-    Raises: InputError: Ray does not start, the cluster does not answer, or it does not take our token.
+    tasks_left: maximum number of workers of a private Ray.
+    Raises: InputError: Ray does not start, the cluster does not answer, or it rejects our token.
     """
     for name, value in (
         ("RAY_USAGE_STATS_ENABLED", "0"),
@@ -80,9 +79,9 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
 
 
 def _check_token(address: str) -> None:
-    """Ask a cluster whether it takes our token: ``ray.init`` would try for 20 s and then not say why it failed.
+    """Check that a cluster accepts our token: ``ray.init`` would try for 20 s and then not say why it failed.
 
-    Raises: ray.exceptions.AuthenticationError: it does not. OSError: nobody answers there.
+    Raises: ray.exceptions.AuthenticationError: it rejects the token. OSError: nothing answers at the address.
     """
     from ray._common.network_utils import parse_address  # type: ignore[attr-defined]
     from ray._private.services import canonicalize_bootstrap_address
@@ -96,10 +95,10 @@ def _check_token(address: str) -> None:
 
 @contextlib.contextmanager
 def _deaf_to_sigterm() -> Iterator[None]:
-    """What starts meanwhile never gets SIGTERM, workers included, as Ray sees to it with SIGINT.
+    """Block SIGTERM for processes that start in this context, workers included; Ray itself blocks SIGINT for them.
 
-    Who ends a job (``timeout``, Slurm, systemd) often signals all of its processes at once. A driver stops after the
-    tasks in flight, and until then needs its Ray.
+    Programs that end a job (``timeout``, Slurm, systemd) often signal all its processes at once. A driver stops after
+    the tasks in flight, and needs its Ray until then.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     try:
@@ -110,14 +109,14 @@ def _deaf_to_sigterm() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _what_a_sweep_needs() -> Iterator[None]:
-    """Keep a Ray that is about to start from starting what no sweep uses, for which ``ray.init`` has no word.
+    """Keep a starting Ray from starting processes that no sweep uses, for which ``ray.init`` has no option.
 
-    That is the reader of logs for a driver that wants none, the autoscaler's monitor, and the server of a dashboard
-    that is off. Each takes half a second to start, and ``ray.init`` waits for the last; then each wakes 20 to 30 times
-    a second, beside workers that have every core.
+    These are the log reader for a driver that wants no logs, the autoscaler's monitor, and the server of a disabled
+    dashboard. Each takes half a second to start, and ``ray.init`` waits for the last; then each wakes 20 to 30 times a
+    second, beside workers that use every core.
 
-    The agent, without which no node starts, is kept off port 52365: a cluster's head on this machine wants that port,
-    and takes no jobs without it.
+    The agent, without which no node starts, gets a free port instead of 52365: a cluster's head on this machine wants
+    that port, and takes no jobs without it.
     """
     from ray._private.node import Node
     from ray._private.parameter import RayParams
@@ -134,17 +133,17 @@ def _what_a_sweep_needs() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _on_loopback() -> Iterator[None]:
-    """Keep a Ray that is about to start from turning 127.0.0.1 into the machine's own address.
+    """Keep a starting Ray from replacing 127.0.0.1 by the machine's own address.
 
-    On Linux it does so whatever it is told, and its servers then listen on every interface. On Windows and macOS it
-    does not, for the sake of their firewalls; the switch between the two is the only one there is (Ray 2.60).
+    On Linux Ray does so with any options, and its servers then listen on every interface. On Windows and macOS it does
+    not, because of their firewalls; the switch between the two is the only one (Ray 2.60).
     """
     from ray._private import ray_constants
 
     name, before = ray_constants.ENABLE_RAY_CLUSTERS_ENV_VAR, ray_constants.ENABLE_RAY_CLUSTER
     former = os.environ.get(name)
     os.environ[name] = "0"  # for the processes that Ray starts
-    ray_constants.ENABLE_RAY_CLUSTER = False  # for this one, which has read the variable already
+    ray_constants.ENABLE_RAY_CLUSTER = False  # for this process, which has read the variable already
     try:
         yield
     finally:
@@ -156,10 +155,10 @@ def _on_loopback() -> Iterator[None]:
 
 
 def node_of(ray: Any, actor: Any) -> tuple[str, str]:
-    """Ray's id of the machine that an actor was put on, and its name; ("", "") where it was put on none."""
+    """Return the Ray id and the name of the machine that an actor is placed on; ("", "") if there is none."""
     try:
         address = ray._private.state.actors(actor._actor_id.hex()).get("Address", {})
-    except Exception:  # nothing public says it, and Ray's Client (ray://) does not say it at all
+    except Exception:  # no public function; Ray's Client (ray://) lacks it altogether
         return "", ""
     named = {node.get("NodeID"): node.get("NodeManagerHostname") for node in ray.nodes()}
     node_id = str(address.get("NodeID", ""))

@@ -1,4 +1,4 @@
-"""What an error of Ray means for the tasks of a call: and whether the task is charged for it."""
+"""Classification of Ray errors: kind of failure, and whether it is charged to the task."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _MEMORY_TEXTS = ("out of memory", "out-of-memory", "running low on memory", "OOM
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a call gave no result.
+    """Reason why a call gave no result.
 
-    kind: as it stands in ``attempts``. what: for the reader. traceback: where the task was, if it is known.
+    kind: outcome in ``attempts``. what: message for the user. traceback: of the worker, if known.
     """
 
     kind: Kind
@@ -27,12 +27,12 @@ class Failure:
 
     @property
     def charged(self) -> bool:
-        """Whether a task that was alone may have done it. A machine that goes away is no task's fault."""
+        """True if a task that ran alone may be the cause. A lost machine is never charged to a task."""
         return self.kind in ("crashed", "out_of_memory", "timeout")
 
 
 def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
-    """What an error that a call ended with says. node_id: of the worker's machine."""
+    """Return the failure that an error of a call means. node_id: of the worker's machine."""
     errors = ray.exceptions
     text = _plain(str(error))
     if names_lost_machine(ray, error):
@@ -53,7 +53,7 @@ def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
 
 
 def names_lost_machine(ray: Any, error: Exception) -> bool:
-    """Whether an error says by itself that a machine went away."""
+    """True if the error itself says that a machine was lost."""
     errors = ray.exceptions
     lost = (errors.NodeDiedError, errors.ObjectLostError, errors.LocalRayletDiedError)
     if isinstance(error, lost) or getattr(error, "preempted", False):
@@ -63,8 +63,8 @@ def names_lost_machine(ray: Any, error: Exception) -> bool:
 
 
 def _plain(text: str) -> str:
-    """What Ray says, without the ids before it, and without the advice after it: that names the out-of-memory killer
-    among what may have happened to any process that was killed, which proves nothing."""
+    """Return the message of Ray without the ids before it and the advice after it. The advice names the out-of-memory
+    killer as a possible cause for every killed process, which proves nothing."""
     text = " ".join(text.split())
     start = max(text.find("The actor is dead because"), text.find("The actor died because"), 0)
     return text[start:].partition("Some common causes include")[0].strip()[:2_000]

@@ -1,4 +1,4 @@
-"""A sweep's driver on a cluster, submitted through Ray's Jobs API and followed from here."""
+"""Sweep driver on a cluster, submitted through Ray's Jobs API and followed from this machine."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _INSTALL = "Install its parts: pip install -c constraints.txt 'ray[default]'"
 def submit_sweep(
     words: Sequence[str], address: str, runtime_env: dict[str, Any] | None, folders: Sequence[Path] = ()
 ) -> int:
-    """Run ``shift3d sweep WORDS`` on a cluster, show what it prints, and return its exit code.
+    """Run ``shift3d sweep WORDS`` on a cluster, print its output, and return its exit code.
 
-    Ctrl-C stops the showing; the sweep goes on.
+    Ctrl-C stops the printing; the sweep goes on.
 
     Args:
-        words: with an ``out=`` that the cluster's machines and this one mean the same by.
+        words: with an ``out=`` that means the same on the cluster's machines and on this one.
         address: of the cluster's dashboard, ``http://HOST:PORT``.
-        runtime_env: Ray's own; what the job's processes get.
+        runtime_env: Ray's runtime environment of the job's processes.
         folders: copied into the job's working directory, which runtime_env then cannot name.
 
-    Raises: InputError: no such ``out=``, the cluster does not answer or refuses us, or the job cannot start.
+    Raises: InputError: no absolute ``out=``, the cluster does not answer or refuses us, or the job cannot start.
     """
     if not any(re.match(r"out=(/|\w+://)", word) for word in words):
         raise InputError(
@@ -50,7 +50,7 @@ def submit_sweep(
     except KeyboardInterrupt:
         print(f"\nthe sweep goes on; to end it as Ctrl-C would: ray job stop {job} --address {address}")
         return int(ExitCode.INTERRUPTED)
-    # The tunnel or the dashboard is gone: Ray, aiohttp and requests each have errors of their own.
+    # If the tunnel or the dashboard is gone, Ray, aiohttp and requests raise different errors.
     except Exception as error:
         raise _unseen(job, address, error) from error
     if details.status in ("PENDING", "RUNNING"):
@@ -64,14 +64,14 @@ def submit_sweep(
 
 
 def _unseen(job: str, address: str, why: object) -> InputError:
-    """The error for a job that goes on where nobody here can follow it."""
+    """Return the error for a job that goes on but cannot be followed from this machine."""
     follow = f"ray job logs --follow {job} --address {address}"
     remedy = f"Follow the sweep, which goes on: {follow}, or shift3d sweep status OUT"
     return InputError(f"{job} cannot be followed any more ({why})", where=address, remedy=remedy)
 
 
 def _with_folders(runtime_env: dict[str, Any], folders: Sequence[Path], copies: Path) -> dict[str, Any]:
-    """The environment with a working directory of copies, which Ray packs and sends when the job is submitted."""
+    """Return the environment with a working directory of copies, which Ray packs and sends on submission."""
     if not folders:
         return runtime_env
     names = " and ".join(folder.name for folder in folders)

@@ -1,7 +1,7 @@
-"""What a worker is at, for others on its machine to read: without a word of its own, whatever it hangs in.
+"""Worker status file: lets the driver read which task a worker runs, even while that worker hangs.
 
-Ray would let a second thread of the worker answer. But then the thread that waits for questions asks for Python's lock
-250 times a second, and two workers on two cores get 3 to 4 % less done.
+Ray would let a second thread of the worker answer. But that thread, while it waits for queries, takes Python's lock 250
+times a second, and two workers on two cores get 3 to 4 % less done.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import time
 import traceback
 from dataclasses import dataclass
 
-# The task's place in its call (-1 between tasks), since when by the machine's monotonic clock, and the thread.
+# Index of the task in its call (-1 between tasks), its start by the machine's monotonic clock, and the thread id.
 _ENTRY = struct.Struct("<qdQ")
 _NAME = "shift3d-logbook"
 _SIGNAL = signal.SIGUSR2
@@ -27,8 +27,8 @@ _FRAME = re.compile(r'^  File "(.*)", line (\d+) in (.*)$', re.MULTILINE)
 
 @dataclass(frozen=True)
 class Whereabouts:
-    """What a worker is at: the task's place in its call (None between tasks), for how long, and its stack, the
-    innermost call last ("" where the process is stopped)."""
+    """Status of a worker. index: of the task in its call, None between tasks. seconds: since then. stack: innermost
+    call last; "" between tasks, or if a stopped process does not write it."""
 
     index: int | None
     seconds: float
@@ -36,10 +36,10 @@ class Whereabouts:
 
 
 class Logbook:
-    """Kept by the process that it is about, and gone with it.
+    """Status file of this process. On Linux (memfd) the file disappears with the process.
 
     Attributes:
-        path: where other processes of this user find it, on this machine.
+        path: name for other processes of this user on this machine.
     """
 
     def __init__(self) -> None:
@@ -50,21 +50,18 @@ class Logbook:
             self._file, self.path = tempfile.mkstemp(prefix=f"{_NAME}-")
         self.note(None)
         os.lseek(self._file, _ENTRY.size, os.SEEK_SET)
-        # In C: it works while another thread holds the interpreter.
+        # faulthandler is in C: it works while another thread holds the interpreter.
         faulthandler.register(_SIGNAL, file=self._file, all_threads=True)
 
     def note(self, index: int | None) -> None:
-        """A task begins in this thread, or (None) the last one of a call has ended. Takes a microsecond."""
+        """Record that a task begins in this thread, or (None) that a call's last one has ended. Takes a microsecond."""
         entry = _ENTRY.pack(-1 if index is None else index, time.monotonic(), threading.get_ident())
         os.pwrite(self._file, entry, 0)
 
 
 def read_logbook(path: str, pid: int) -> Whereabouts:
-    """What another process of this machine is at.
-
-    Raises: OSError: there is no such process any more.
-    """
-    # Held, so that no other process can get its number before the signal.
+    """Read the status of another process on this machine. Raises OSError: the process has ended."""
+    # An open pidfd keeps the kernel from reusing the process id before the signal is sent.
     process = os.pidfd_open(pid) if hasattr(os, "pidfd_open") else None
     try:
         file = os.open(path, os.O_RDONLY)
@@ -81,7 +78,7 @@ def read_logbook(path: str, pid: int) -> Whereabouts:
 
 
 def _stack(file: int, pid: int, process: int | None, thread: int) -> str:
-    """Ask for the stacks of all threads, wait for that of one."""
+    """Request the stacks of all threads of a process, and wait for that of one."""
     before = max(os.fstat(file).st_size, _ENTRY.size)
     if process is not None:
         signal.pidfd_send_signal(process, _SIGNAL)
@@ -90,7 +87,7 @@ def _stack(file: int, pid: int, process: int | None, thread: int) -> str:
     until, size = time.monotonic() + _STACK_S, -1
     while time.monotonic() < until:
         time.sleep(0.05)
-        # It is written in many pieces.
+        # The process writes in many pieces: wait until the size is stable.
         size, last = os.fstat(file).st_size, size
         if before < size == last:
             break

@@ -1,13 +1,12 @@
-"""Ray workers: long-lived actors that hold what tasks need, one call in flight each.
+"""Ray runner: long-lived actors that hold the assets, with one call in flight each.
 
-What can go wrong with a call and what follows from it (design section 9):
+Failures of a call and their consequences (design section 9):
 
-- the worker died, of several tasks: nobody knows which did it, so each is run again alone, and none is charged;
-- the worker died or ran out of memory, or the task hung, alone: counted against the task, which is quarantined the
-  second time;
-- the machine went away: run again, not charged;
-- the machine cannot load what tasks need: run again elsewhere, not charged. Where no machine can, the sweep ends;
-- the machine's files fail tasks of three scenes in a row: the next ones run elsewhere, where there is another machine.
+- the worker died with several tasks: the culprit is unknown, so each task is run again alone, and none is charged;
+- the worker died, ran out of memory or hung with one task: the task is charged, and quarantined the second time;
+- the machine was lost: its tasks are run again, not charged;
+- the machine cannot load the assets: its tasks are run again elsewhere, not charged. If no machine can, the sweep ends;
+- tasks of three scenes in a row cannot read or write files there: the next ones run on another machine, if any.
 
 Source: our choice.
 """
@@ -41,11 +40,10 @@ _HEARTBEAT_S = 0.5
 
 
 class RayRunner:
-    """A `Runner`: tasks in Ray actors, on this machine or a cluster.
+    """`Runner` with tasks in Ray actors, on this machine or a cluster.
 
-    tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
-
-    Raises: InputError: the cluster cannot be reached, or has no room for a worker; a file that travels cannot be read.
+    tasks_left: maximum number of workers. tried: attempts of earlier runs by position.
+    Raises: InputError: the cluster cannot be reached, or has no room for a worker; a file to ship cannot be read.
     """
 
     def __init__(
@@ -67,12 +65,12 @@ class RayRunner:
         self._backlog = Backlog([])
 
     def _starter(self, kind: TaskKind, config: RayRunnerConfig) -> Callable[..., Any]:
-        # One call in flight each, and a crash is the driver's to handle: Ray itself retries nothing.
+        # The driver handles crashes, so Ray itself retries nothing.
         options: dict[str, Any] = {"num_cpus": config.cpus_per_worker, "max_restarts": 0, "max_task_retries": 0}
         if config.worker_memory_mb:
             options["memory"] = int(config.worker_memory_mb * 2**20)
         actor = self._ray.remote(**options)(RayWorker)
-        # A private Ray's workers are on this machine, and read what lies here.
+        # Workers of a private Ray are on this machine, and read its files.
         shipped = self._ray.put(loaded(self._plan.assets) if config.address else {})
         tasks, assets = self._ray.put(self._plan.tasks), self._ray.put(self._plan.assets)
         given = (kind, self._plan.sweep, assets, tasks, self._command, shipped)
@@ -80,7 +78,7 @@ class RayRunner:
 
     @property
     def workers(self) -> int:
-        """Workers there shall be; as machines join and leave, this changes."""
+        """Target number of workers; it changes as machines join and leave."""
         return self._pool.wanted
 
     @property
@@ -149,7 +147,7 @@ class RayRunner:
         return outcome
 
     def _leave_unreadable(self, call: Call, outcome: BatchOutcome) -> None:
-        """Tasks of several scenes in a row could not read or write a file: another machine may."""
+        """Leave a machine out if tasks of several scenes in a row could not read or write a file: another may."""
         worker, left_out = call.worker, self._pool.left_out
         scenes = {self._plan.tasks[at].spec.scene for at in call.positions if self._id(at) in outcome.unread}
         too_many = left_out.unread(worker.node_id, scenes, bool(outcome.done))
@@ -161,7 +159,7 @@ class RayRunner:
             self._pool.leave(worker.node_id, worker.host, InputError(what, remedy=remedy))
 
     def _not_loaded(self, call: Call, outcome: BatchOutcome, error: InputError, wanted: bool) -> BatchOutcome:
-        """A call's machine cannot load what tasks need: others run them. The outcome itself where there is no other."""
+        """Handle a machine that cannot load the assets: others run its tasks. Without others, return `outcome`."""
         line = self._pool.left_out.add(call.worker.node_id, call.worker.host, error)
         self._pool.lost(call.worker)
         if not wanted:
@@ -169,11 +167,11 @@ class RayRunner:
         return self._failed_call(call, Failure("not_loaded", line)) if self._pool.left_out.any_other() else outcome
 
     def _failed_call(self, call: Call, failure: Failure, culprit: int | None = None) -> BatchOutcome:
-        """A call ended without a result. culprit: the task that did it, where that is known."""
+        """Handle a call that ended without a result. culprit: the task that caused it, if known."""
         if culprit is None and len(call.positions) == 1 and failure.kind != "not_loaded":
             culprit = call.positions[0]
         self._backlog.tried(call.positions, call.attempt)
-        # Where it is known who did it, or that no task did, the others may stay together.
+        # If the culprit is known, or no task caused the failure, the others may stay together.
         apart = culprit is None and failure.kind not in ("node_lost", "not_loaded")
         copied = self._calls.copy_of(call) is not None
         quarantined = self._backlog.failed(call.positions, culprit, failure.charged, apart, copied)
@@ -198,5 +196,5 @@ class RayRunner:
         return with_command(row, self._command) if quarantined else row
 
     def close(self) -> None:
-        """End the workers, and the private Ray where there is one."""
+        """End the workers, and the private Ray if there is one."""
         self._ray.shutdown()

@@ -1,8 +1,8 @@
-"""Files that travel with a sweep, so that a cluster's machines need no folder in common with the driver.
+"""Files shipped with a sweep, so that a cluster's machines need no folder in common with the driver.
 
-The driver puts them into Ray's object store, where each machine has them once and its workers map them without a copy.
-A worker uses its machine's file where that has the same bytes; otherwise it writes them below
-``~/.shift3d/files``, under a name made of their content, for every later worker there.
+The driver puts the files into Ray's object store, which holds them once per machine; workers map them without a copy. A
+worker uses its machine's file if that has the same bytes; otherwise it writes the shipped file below
+``~/.shift3d/files``, under a digest of the content, for all later workers on the machine.
 
 Source: our choice.
 """
@@ -27,26 +27,26 @@ from shift3d.vehicles.sources import WIDE
 
 @dataclass(frozen=True)
 class NamedFiles:
-    """Files that settings name together. folder: as they spell it. names: below it, with slashes."""
+    """Files that settings name together. folder: as spelled there. names: relative to folder, with slashes."""
 
     folder: str
     names: tuple[str, ...]
 
 
 ShippedFiles = Mapping[NamedFiles, Mapping[str, NDArray[np.uint8]]]
-"""The bytes of files, by what names them and by name. Read-only where they come out of the object store."""
+"""Bytes of files, by `NamedFiles` and by name. Read-only if they come from the object store."""
 
 
 def loaded(assets: Sequence[AssetsSpec]) -> ShippedFiles:
-    """Read the files that the settings of a sweep name. Raises InputError where one cannot be read."""
+    """Read the files that the settings of a sweep name. Raises InputError if one cannot be read."""
     every = dict.fromkeys(files for one in assets for files in named_files(one))
     return {files: {name: _read(_path(files, name)) for name in files.names} for files in every}
 
 
 def unloaded(assets: AssetsSpec, shipped: ShippedFiles) -> AssetsSpec:
-    """The assets with every file where this machine has it, written there now if need be.
+    """Return the assets with paths to files of this machine; missing files are written.
 
-    Raises: InputError where nothing can be written.
+    Raises: InputError: a file cannot be written.
     """
     travelled = {files: shipped[files] for files in named_files(assets) if files in shipped}
     missing = {
@@ -69,7 +69,7 @@ def _read(path: Path) -> NDArray[np.uint8]:
 
 
 def _holds(path: Path, content: NDArray[np.uint8]) -> bool:
-    """Whether a file has these bytes; one that cannot be read has not."""
+    """True if the file has these bytes; False if it cannot be read."""
     try:
         return path.stat().st_size == len(content) and np.array_equal(np.fromfile(path, np.uint8), content)
     except OSError:
@@ -77,14 +77,14 @@ def _holds(path: Path, content: NDArray[np.uint8]) -> bool:
 
 
 def _written(contents: Mapping[str, NDArray[np.uint8]]) -> Path:
-    """The folder that holds these files: its name says what is in it, so workers that write it at once agree."""
+    """Write files, and return their folder. Its name is a digest of the content, so concurrent workers agree on it."""
     digest = hashlib.blake2b(digest_size=16)
     for name, content in contents.items():
         digest.update(f"{name}\0{len(content)}\0".encode())
         digest.update(content.data)
     store = Path.home() / ".shift3d" / "files"
     try:
-        store.mkdir(mode=0o700, parents=True, exist_ok=True)  # what travels may be nobody else's business
+        store.mkdir(mode=0o700, parents=True, exist_ok=True)  # shipped files may be private
     except OSError as error:
         remedy = "Give the workers a home that they can write to"
         raise InputError(f"cannot be made ({error.strerror})", where=str(store), remedy=remedy) from error
@@ -96,16 +96,16 @@ def _written(contents: Mapping[str, NDArray[np.uint8]]) -> Path:
 
 
 def named_files(assets: AssetsSpec) -> tuple[NamedFiles, ...]:
-    """What must be there to load the vehicles and detectors of a sweep, beside shift3d itself. Nothing is read.
+    """Return the files, beside shift3d itself, that loading the vehicles and detectors needs. Nothing is read.
 
-    Scenes are not among them: a data set is too large to be sent about.
+    Scenes are excluded: a data set is too large to ship.
     """
     found = [_of_vehicles(assets), *map(_of_file, (*assets.detectors.values(), *assets.modules.values()))]
     return tuple(dict.fromkeys(files for files in found if files))
 
 
 def with_files_in(assets: AssetsSpec, folders: Mapping[NamedFiles, Path]) -> AssetsSpec:
-    """The same assets, their files in other folders. What is not in the mapping stays where it is."""
+    """Return the assets with files in other folders. Files that are not in the mapping keep their folder."""
     vehicles, detectors = dict(assets.vehicles), dict(assets.detectors)
     modules: dict[str, Any] = dict(assets.modules)
     if (files := _of_vehicles(assets)) and files in folders:
@@ -121,7 +121,7 @@ def _of_vehicles(assets: AssetsSpec) -> NamedFiles | None:
     folder = assets.vehicles.get("folder")
     if folder is None or (assets.vehicles["kind"] == "set" and folder == WIDE):
         return None
-    # Here, because both load torch, and most sweeps name no folder.
+    # Late imports: both modules load torch, and most sweeps name no folder.
     if assets.vehicles["kind"] == "deepsdf":
         from shift3d.sdf.foreign import experiment_file_names
 

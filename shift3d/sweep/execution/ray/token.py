@@ -1,4 +1,4 @@
-"""The token without which a Ray of ours runs nothing: in a file that only its owner can read."""
+"""Authentication token of Ray, in a file that only its owner can read."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ _MODE, _TOKEN, _PATH = "RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"
 
 
 def require_token(private: bool) -> bool:
-    """Turn Ray's token authentication on for this process and those that it starts. True where it is on.
+    """Turn Ray's token authentication on for this process and its children. Return True if it is on.
 
-    What the user set in Ray's own variables stands: RAY_AUTH_MODE=disabled turns it off, RAY_AUTH_TOKEN or
-    RAY_AUTH_TOKEN_PATH name the token. Otherwise a private Ray has the token of :func:`token_file`, made where there
-    is none, and a cluster the one where Ray's own commands keep it, ``~/.ray/auth_token``. A cluster of which no token
-    is known may still be one that asks for none: False.
+    Ray's own variables have priority: RAY_AUTH_MODE=disabled turns it off, RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH name
+    the token. Otherwise a private Ray uses the token of :func:`token_file`, which is made if absent, and a cluster the
+    token of Ray's own commands, ``~/.ray/auth_token``. A cluster without a known token may need none: False.
 
-    Source: our choice. Ray would make a token by itself, in a file that everybody on the machine can read.
+    Source: our choice. Ray itself would make a token in a file that everybody on the machine can read.
 
     Raises: InputError: the file cannot be made or read, holds no token, or others can read it too.
     """
@@ -39,7 +38,7 @@ def require_token(private: bool) -> bool:
         os.environ[_PATH] = str(path)
     os.environ[_MODE] = "token"
     if "ray" in sys.modules:
-        # Ray reads both variables when it is imported, and keeps them.
+        # Ray reads both variables on import, and caches them.
         from ray._raylet import AuthenticationTokenLoader, Config  # type: ignore[attr-defined]
 
         Config.initialize("")
@@ -48,15 +47,15 @@ def require_token(private: bool) -> bool:
 
 
 def token_file() -> Path:
-    """Where the token of private Rays is kept between runs."""
+    """Return the file that keeps the token of private Rays between runs."""
     return Path.home() / ".shift3d" / "ray_token"
 
 
 def _create(path: Path) -> None:
-    """A file with 256 random bits that is its owner's alone from its first moment; one that is there stays."""
+    """Create a file with 256 random bits that only its owner can ever read; an existing file stays."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # Complete before it has its name: whoever starts at the same moment reads the whole token or none.
+        # The file is complete before it gets its name: a concurrent start reads the whole token or none.
         temporary = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
         try:
@@ -72,7 +71,7 @@ def _create(path: Path) -> None:
 
 
 def _check(path: Path) -> None:
-    """Refuse a token that others know already, or that is none."""
+    """Refuse a token that others can read or write, or that is none."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         with os.fdopen(descriptor, "rb") as file:

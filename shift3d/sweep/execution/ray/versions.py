@@ -1,4 +1,4 @@
-"""What a machine has installed that results depend on: all machines of a sweep must have the same.
+"""Installed versions that results depend on: all machines of a sweep must have the same.
 
 Source: our choice.
 """
@@ -19,15 +19,15 @@ _NAMES = {"code": "another build of shift3d:"}
 
 
 def installed() -> Mapping[str, str]:
-    """Versions by name. A library's build, behind the plus sign, is left out. code: a digest of shift3d's own files,
-    "" where it was not installed from a wheel."""
+    """Return the versions by name, without the build of a library (after the plus sign). code: digest of shift3d's own
+    files; "" without installation from a wheel."""
     libraries = {name: version.partition("+")[0] for name, version in library_versions(_LIBRARIES).items()}
     python = ".".join(platform.python_version_tuple()[:2])
     return {"shift3d": shift3d.__version__, "Python": python, **libraries, "code": _code()}
 
 
 def _code() -> str:
-    """By the list of files that a wheel leaves, with their hashes."""
+    """Return a digest of the list of files and hashes that a wheel installs."""
     try:
         record = distribution("shift3d").read_text("RECORD") or ""
     except PackageNotFoundError:
@@ -37,7 +37,7 @@ def _code() -> str:
 
 
 def difference(there: Mapping[str, str], here: Mapping[str, str]) -> InputError | None:
-    """The error for a machine that has something else installed than the driver's. there, here: see `installed`."""
+    """Return the error for a machine whose versions differ from the driver's, or None. there, here: of `installed`."""
     found = [
         f"{_NAMES.get(name, name)} {there.get(name)}, not {value}"
         for name, value in here.items()

@@ -1,4 +1,4 @@
-"""Tasks that hang: where a worker is at one task for longer than allowed its logbook is read, and it is ended."""
+"""Detection of hanging tasks: the driver reads the status file of a worker past the time limit, and ends the worker."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from shift3d.sweep.execution.ray.failures import Failure
 from shift3d.sweep.execution.ray.logbook import Whereabouts, read_logbook
 from shift3d.sweep.execution.ray.worker_pool import PooledWorker
 
-# A machine on which no process can read the logbook for so long is overloaded, or gone.
+# A machine on which a status file cannot be read within this time is overloaded or lost.
 _ANSWER_S = 20.0
 _LOOK_S = 0.5
 
 
 @dataclass(frozen=True)
 class Hang:
-    """A call whose worker is to be ended. position: of the task that hangs; None where nobody could say."""
+    """Call whose worker must be ended. position: of the hanging task; None if unknown."""
 
     call: Call
     position: int | None
@@ -27,7 +27,7 @@ class Hang:
 
 
 class Watch:
-    """Finds calls that hang. timeout_s: of one task, None for any time at all."""
+    """Detector of hanging calls. timeout_s: limit for one task, None for no limit."""
 
     def __init__(self, ray: Any, timeout_s: float | None) -> None:
         self._ray = ray
@@ -35,7 +35,7 @@ class Watch:
         self._looked = 0.0
 
     def hanging(self, calls: Iterable[Call]) -> list[Hang]:
-        """Those of the calls that hang. It asks and does not wait: an answer comes at a later look."""
+        """Return the calls that hang. The function never waits: an answer is read at a later call."""
         if self._timeout_s is None or time.monotonic() - self._looked < _LOOK_S:
             return []
         self._looked = time.monotonic()
@@ -54,10 +54,10 @@ class Watch:
         return None if now - call.questioned_at < _ANSWER_S else _unseen(call)
 
     def _ask(self, worker: PooledWorker) -> Any:
-        """A process beside the worker, on its machine, reads what it is at."""
+        """Start a process on the worker's machine that reads its status. Returns the reference of the answer."""
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-        assert worker.where is not None  # it has a call
+        assert worker.where is not None  # a worker with a call is ready
         there = NodeAffinitySchedulingStrategy(worker.node_id, soft=False)
         read = self._ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=there)(read_logbook)
         return read.remote(worker.where.logbook, worker.where.pid)
@@ -68,7 +68,7 @@ class Watch:
         except self._ray.exceptions.RayError as error:
             if isinstance(error, OSError) and not isinstance(error, ProcessLookupError | FileNotFoundError):
                 return _unseen(call)
-            call.ask_at = float("inf")  # it is dead: the call itself will say so
+            call.ask_at = float("inf")  # the worker is dead: its call will report it
             call.question = None
             return None
         call.question = None

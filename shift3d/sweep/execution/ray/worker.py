@@ -1,4 +1,4 @@
-"""A worker as Ray runs it: given positions of a plan that it holds, and keeping a logbook of what it is at."""
+"""Ray actor of a worker: it holds the tasks of a plan, runs them by position, and keeps a status file."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from shift3d.task.exchange import AssetsSpec
 
 
 def _load(load: Callable[[AssetsSpec], Any], spec: AssetsSpec, shipped: ShippedFiles) -> Any:
-    """What tasks need, loaded from this machine's files.
+    """Load the assets from this machine's files.
 
-    Raises: InputError: whatever it is that fails: a library that is damaged here is this machine's defect, no task's.
+    Raises: InputError: any failure, since a library that is damaged is a defect of this machine, not of a task.
     """
     try:
         return load(unloaded(spec, shipped))
@@ -37,9 +37,9 @@ def _load(load: Callable[[AssetsSpec], Any], spec: AssetsSpec, shipped: ShippedF
 
 @dataclass(frozen=True)
 class Ready:
-    """Where a worker runs. node_id: Ray's. process: host and process id. logbook: of its process `pid`.
+    """Address of a ready worker. node_id: Ray's. process: host and process id. logbook: status file of process `pid`.
 
-    versions: of what its machine has installed; None: the driver's.
+    versions: installed on its machine; None: the driver's.
     """
 
     node_id: str
@@ -50,9 +50,9 @@ class Ready:
 
 
 class RayWorker:
-    """Arguments as of `Worker`; tasks: of the whole plan; shipped: files that this machine may not have.
+    """Ray actor with the arguments of `Worker`. tasks: of the whole plan. shipped: files that this machine may lack.
 
-    Tasks, assets and shipped come from Ray's object store, where a machine has them once.
+    Tasks, assets and shipped come from Ray's object store, which holds them once per machine.
     """
 
     def __init__(
@@ -65,14 +65,14 @@ class RayWorker:
         shipped: ShippedFiles,
     ) -> None:
         self._tasks = tasks
-        # With the first task, whose outcome can say in one line why nothing could be loaded.
+        # The first task loads the assets, since its outcome can report in one line why that failed.
         load = kind.load
         kind = dataclasses.replace(kind, load=lambda spec: _load(load, spec, shipped))
         self._logbook = Logbook()
         self._worker = Worker(kind, sweep, assets, command, self._logbook.note)
 
     def ready(self) -> Ready:
-        """Answered as soon as this process is ready."""
+        """Return the address as soon as this process is ready."""
         import ray
 
         pid = os.getpid()

@@ -1,4 +1,4 @@
-"""The workers of a Ray run: how many there is room for, started, ready, busy, and replaced."""
+"""Pool of Ray workers: how many fit, and which are starting, idle, busy or lost."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from shift3d.sweep.execution.ray.left_out import FAILED_STARTS, LeftOut
 from shift3d.sweep.execution.ray.versions import difference, installed
 from shift3d.sweep.execution.ray.worker import Ready
 
-# How often the cluster is asked for its size: machines join and leave within minutes.
+# Interval between queries of the cluster's size: machines join and leave within minutes.
 _LOOK_S = 2.0
-# A cluster that has no worker ready after this is reported: it may lack room, or be adding machines.
+# A cluster without a ready worker after this time is reported: it may lack room, or be adding machines.
 _PATIENCE_S = 30.0
 _RAISED = re.compile(r"[\w.]*(Error|Exception)\b")
 
 
 def room_for(nodes: list[dict[str, Any]], cpus: float, memory_mb: float, estimated: bool = True) -> int:
-    """Workers that fit on the machines that are alive, by their CPUs and by their memory.
+    """Return the number of workers that fit on the live machines, by CPUs and memory.
 
-    estimated: memory_mb is an estimate, and to try is better than to refuse: a machine with the CPUs but too little
-    memory holds one all the same if nothing else holds any. Ray itself keeps free what the settings state.
+    estimated: memory_mb is an estimate, and trying is better than refusing: if no machine has the memory, one worker is
+    still allowed on a machine with the CPUs. If the settings state the memory, Ray itself reserves it.
     """
     alive = [node["Resources"] for node in nodes if node["Alive"]]
     by_cpu = [int(resources.get("CPU", 0) // cpus) for resources in alive]
@@ -37,14 +37,14 @@ def room_for(nodes: list[dict[str, Any]], cpus: float, memory_mb: float, estimat
 
 
 def _reason(text: str) -> str:
-    """Of a start that failed: what Python raised last, where that ends Ray's text."""
+    """Return the reason of a failed start: the last exception of Python if Ray's text ends with one."""
     last = text.strip().rpartition("\n")[2]
     return last[:600] if _RAISED.match(last) else " ".join(text.split())[-600:]
 
 
 @dataclass
 class PooledWorker:
-    """A worker. where: its process and machine, None until it is ready. running: whether it has a call."""
+    """Worker of the pool. where: its process and machine, None until it is ready. running: True if it has a call."""
 
     actor: Any
     where: Ready | None = None
@@ -57,26 +57,26 @@ class PooledWorker:
 
     @property
     def host(self) -> str:
-        """Its machine's name."""
+        """Name of the worker's machine."""
         return self.process.rpartition(":")[0]
 
     @property
     def node_id(self) -> str:
-        """Ray's id of its machine."""
+        """Ray's id of the worker's machine."""
         return self.where.node_id if self.where else ""
 
 
 class WorkerPool:
-    """Workers, from the first to the last.
+    """Workers of a run, from start to end.
 
     Args:
-        start: starts an actor with further options of Ray. config: how many there shall be (None: as many as there is
-            room for), and their size. most: no more than this.
+        start: starts an actor with further options of Ray. config: number of workers (None: as many as fit) and their
+            size. most: maximum number.
 
     Attributes:
-        wanted: how many there are to be, now. left_out: machines where none is started any more.
+        wanted: current target number of workers. left_out: machines that get no more workers.
 
-    Raises: InputError: there is no room for one, and nothing that could make room.
+    Raises: InputError: there is no room for a worker, and nothing could make room.
     """
 
     def __init__(self, ray: Any, start: Callable[..., Any], config: RayRunnerConfig, memory_mb: float, most: int):
@@ -100,18 +100,17 @@ class WorkerPool:
     def _room(self) -> int:
         config = self._config
         room = room_for(self.left_out.others(), config.cpus_per_worker, self._memory_mb, not config.worker_memory_mb)
-        # A cluster that grows on demand grows by workers that wait for room, so what was asked for is started.
+        # An autoscaling cluster grows only if workers wait for room, so all requested workers are started.
         wanted = config.workers if config.workers and (room or config.address) else room
         return min(wanted, self._most)
 
     def _demand(self) -> str:
-        """Of a worker, in words."""
         memory = f" and {self._memory_mb:g} MB" if self._config.worker_memory_mb else ""
         return f"{self._config.cpus_per_worker:g} CPUs{memory}"
 
     def _report_waiting(self, now: float) -> None:
-        """Print one line where no worker is ready after a while, at first or after the last one was lost: a cluster
-        without room looks like one that is slow."""
+        """Print one line if no worker is ready after a while, at the start or after the loss of the last one: a cluster
+        without room looks like a slow one."""
         if self._workers:
             self._report_at = now + _PATIENCE_S
         elif self._config.address and self._starting and now >= self._report_at:
@@ -127,13 +126,13 @@ class WorkerPool:
         return list(self._starting)
 
     def grow(self, tasks: int) -> None:
-        """Start what is missing. tasks: waiting or in flight; more workers than that would idle."""
+        """Start missing workers. tasks: waiting or in flight; more workers than tasks would idle."""
         now = time.monotonic()
         if now - self._looked >= _LOOK_S:
             self._looked = now
             self.wanted = max(self._room(), 1)
         self._report_waiting(now)
-        # After a failed start one at a time.
+        # After a failed start, workers start one at a time.
         at_once = 1 if self._failed else self.wanted
         missing = min(self.wanted, tasks) - len(self._workers) - len(self._starting)
         for _ in range(min(missing, at_once - (len(self._starting) if self._failed else 0))):
@@ -141,9 +140,9 @@ class WorkerPool:
             self._starting[actor.ready.remote()] = PooledWorker(actor)
 
     def started(self, reference: Any) -> InputError | None:
-        """A start has ended: the worker is idle, or was lost. The error says why none can be started at all.
+        """Handle an ended start: the worker is idle, or was lost. Return an error if no worker can be started at all.
 
-        A start that its machine's end broke off says nothing about the next one.
+        A start that failed because its machine was lost does not count.
         """
         worker = self._starting.pop(reference)
         try:
@@ -154,7 +153,7 @@ class WorkerPool:
             self._failed += 1
             return self._failed_start(worker, _reason(str(error)))
         worker.where = where
-        if worker.node_id in self.left_out:  # it was on its way there already
+        if worker.node_id in self.left_out:  # the start preceded the exclusion
             self._ray.kill(worker.actor)
             return None
         here = installed()
@@ -179,17 +178,17 @@ class WorkerPool:
         return InputError(f"no worker starts: {why}", where="runner", remedy=remedy)
 
     def leave(self, node_id: str, host: str, error: InputError) -> None:
-        """Leave a machine out, and end its workers as soon as they have no call."""
+        """Leave a machine out, and end its workers without a call; `RayRunner` ends the others after their call."""
         self.left_out.add(node_id, host, error)
         for worker in [other for other in self._workers if other.node_id == node_id and not other.running]:
             self.lost(worker)
 
     def idle(self) -> PooledWorker | None:
-        """A worker without a call; None where all are busy. Whether it has died meanwhile its next call tells."""
+        """Return a worker without a call, or None. If the worker has died, its next call fails."""
         return next((worker for worker in self._workers if not worker.running), None)
 
     def lost(self, worker: PooledWorker) -> None:
-        """A worker is dead or of no use any more; whatever is left of it is ended."""
+        """Remove a worker that is dead or unusable, and kill its actor."""
         if worker in self._workers:
             self._workers.remove(worker)
         self._ray.kill(worker.actor)
