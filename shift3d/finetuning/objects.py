@@ -87,8 +87,7 @@ class SweepObjects:
 def scored_objects(folder: LocationLike, detector: str, methods: tuple[str, ...]) -> SweepObjects:
     """Return every object of some methods that the attacked detector scored.
 
-    Raises: InputError: the folder holds no finished sweep or is damaged, another detector was attacked, or nothing was
-    scored.
+    Raises: InputError: no finished sweep, or a damaged one; another detector was attacked; nothing was scored.
     """
     folder = as_location(folder)
     plan = read_plan(folder)
@@ -137,7 +136,7 @@ def refuse_other_splits(specs: Iterable[TaskSpec], where: str) -> None:
 
 
 def stable_objects(folder: LocationLike, detector: str, weights_hash: str, method: str) -> SweepObjects:
-    """Return a method's objects to fine-tune on: of the tasks whose adversarial object is stable at reference accuracy.
+    """Return a method's objects to fine-tune on, of tasks whose adversarial object is still hard at reference accuracy.
 
     A control, which is tuned on the unchanged vehicles, thus sees the same scenes equally often.
     weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_files.detector_hash`. method:

@@ -116,7 +116,7 @@ def _params(facts: dict[str, object]) -> dict[str, object]:
 
 
 def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd.DataFrame]:
-    """Yield every model's scores; vanilla's own sweep also gives the objects found against vanilla."""
+    """Yield every model's scores; the objects that vanilla's sweep found also count as adaptive for vanilla."""
     for sweep in HELD_OUT:
         before = object_scores(folder / sweep, detector).to_pandas()
         yield _named(before, VANILLA, None, sweep)

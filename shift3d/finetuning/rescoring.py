@@ -39,8 +39,7 @@ def rescored(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
     """Render a sweep's objects again and score them with other weights of the attacked detector, as `RESCORED`.
 
     On one machine the sweep's own weights reproduce its scores bit for bit.
-    Raises: InputError: as `scored_objects`; weights that cannot be loaded, or that were fine-tuned on a scene of the
-    sweep.
+    Raises: InputError: as `scored_objects`; weights that cannot be loaded, or were fine-tuned on a scene of the sweep.
     """
     found = scored_objects(folder, detector, METHODS)
     refuse_tuned_scenes(weights, found.scenes)

@@ -111,8 +111,7 @@ def fine_tune(
     """Train one epoch over the stable objects of a verified sweep, or resume an interrupted training.
 
     Args:
-        options: only out, threads, device, steps (None: an epoch's), start_from (None: the shipped weights) and recipe
-            are used.
+        options: uses out, threads, device, steps (None: an epoch's), start_from (None: shipped weights) and recipe.
         method: of the objects: "adversarial", or "baseline" for a control that sees the same scenes.
         report: called with the curves' points after every checkpoint.
     Returns: the weights file, float32, with a JSON file of provenance beside it: the same bytes for the same sweep,
@@ -162,8 +161,7 @@ _NOT_OF_A_TUNING = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes") 
 def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
     """Return the detector's recipe for one epoch over some objects at `RATE`, with the given fields.
 
-    Crops use the default augmentation: the detector's own may widen vehicle sizes and change the shapes that were
-    found.
+    Crops use the default augmentation: the detector's own may widen sizes and so change the found shapes.
     Raises: InputError for an unknown field, or a value that it cannot have.
     """
     shipped = RECIPES[detector]

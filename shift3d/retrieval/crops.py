@@ -13,7 +13,7 @@ from shift3d.scenes.scene import Scene
 
 Array = NDArray[np.float64]
 FEWEST_POINTS = 10
-FLOOR_M = 0.2  # lower points of a box are dropped: the ground, on a slope of 3 degrees or in a low box
+FLOOR_M = 0.2  # lower points of a box are dropped: the ground reaches here on a slope of 3 degrees or in a low box
 MARGIN_M = 0.1  # of the box's other faces: labels are a few centimetres off
 KEPT_POINTS, KEPT_BEAMS = 128, 48  # largest numbers kept of a crop, spread evenly
 _CELL_M = 0.08
@@ -48,8 +48,8 @@ def crop_vehicles(scene: Scene) -> list[Crop]:
 
     Refused: fewer than `FEWEST_POINTS` points ("few_points"), and box sizes that no published vehicle has ("box_size").
     The result depends on the set of points alone, not on their order.
-    Source: SHIFT3D, supplement ("cropping out the point cloud corresponding to each vehicle"); limits and free places
-    are our choice.
+    Source: SHIFT3D, supplement ("cropping out the point cloud corresponding to each vehicle"); limits and free places,
+    through which beams passed, are our choice.
     """
     valid = scene.has_beam
     points, origins = scene.points[valid].astype(np.float64), scene.origins[valid].astype(np.float64)

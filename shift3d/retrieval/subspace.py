@@ -47,7 +47,7 @@ class Subspace:
         """Build the subspace of codes (N, d) that a float32 decoder is known to draw.
 
         Hidden units that are off at 512 places of the unit ball, for the mean and for other codes of the ellipsoid, are
-        removed: half of the time, and values change by less than a tenth of a millimetre on a car.
+        removed: evaluation takes half the time, and values change by less than 0.1 mm on a car.
 
         Raises: InputError as `principal_components`, and for a decoder whose code enters other than by biases.
         Source: SHIFT3D, supplement, takes 10 components; the ellipsoid is our choice.

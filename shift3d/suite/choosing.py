@@ -37,8 +37,7 @@ class Chosen:
     """Selected rows of ``solutions.parquet``, and rows of ``scores.parquet``.
 
     hard, controls: solutions in plan order. scores: all rows of the sweep with a score, one per object and detector.
-    left_out: number of ineligible solutions by reason. unverified: number of hard ones that `shift3d verify` has not
-    checked.
+    left_out: number of ineligible solutions by reason. unverified: number of hard ones without verification.
     """
 
     hard: pd.DataFrame

@@ -97,8 +97,7 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     it the same call resumes scene by scene, with it nothing is written.
     frames: "copied" stores the scenes' points. "referenced" stores their origin, and of recorded frames only the points
     that an object moved: the gate then needs the data set, or generates the streets again.
-    Raises: InputError as `choose_solutions`; another suite or files in `to`; scene, vehicle or detector not the
-    sweep's.
+    Raises: InputError as `choose_solutions`; other content in `to`; a scene, vehicle or detector not the sweep's.
     Source: our choice: the paper has no gate.
     """
     sweep, to = as_location(sweep), as_location(to)

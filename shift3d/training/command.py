@@ -33,8 +33,7 @@ class TrainOptions:
     out: folder for samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda. scenes:
     "street" or "kitti". root: folder of KITTI. count: number of scenes; None for the recipe's (street) or every frame
     (kitti). steps, inserted (number of scenes with inserted vehicles): None for the recipe's. start_from: a weights
-    file, "shipped", or "random" for random weights even if the recipe names a start. recipe: fields of the recipe, as
-    text.
+    file, "shipped", or "random" for random weights even if the recipe names a start. recipe: fields as text.
     """
 
     out: Path
@@ -50,7 +49,7 @@ class TrainOptions:
 
     @property
     def shipped(self) -> bool:
-        """True if the recipe and scenes are those of the shipped weights. Other trainings do not overwrite these."""
+        """True if recipe and scenes are those of the shipped weights, which no other training overwrites."""
         own = (self.count, self.steps, self.inserted, self.start_from)
         return self.scenes == "street" and not self.recipe and all(value is None for value in own)
 

@@ -53,8 +53,7 @@ class Compute:
     def prepare(self) -> None:
         """Set torch's global switches: threads, deterministic kernels, and subnormal numbers flushed to zero.
 
-        Dead units leave subnormal weights, whose products are several times slower. Flushing changes the resulting
-        bytes.
+        Dead units leave subnormal weights, whose products are several times slower. Flushing changes the results.
         """
         torch.set_num_threads(self.threads)
         torch.set_flush_denormal(True)

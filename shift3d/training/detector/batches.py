@@ -29,8 +29,7 @@ from shift3d.training.detector.objective import Objective, each_field
 class Example:
     """One crop as network input, with its training targets.
 
-    points: (K, 3) float32, network frame, metres; only points inside a pillar, sorted by pillar. targets: of the
-    objective.
+    points: (K, 3) float32, network frame, metres; points inside pillars, sorted by pillar. targets: the objective's.
     """
 
     points: Tensor

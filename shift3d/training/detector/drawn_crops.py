@@ -24,8 +24,7 @@ TRIES = 50
 class RandomCrops:
     """Crops of each step and for the batch norm statistics; the seed and the step alone decide them.
 
-    mesh, inserted: cached scenes without and with inserted vehicles. database: vehicles to paste; None: nothing is
-    pasted.
+    mesh, inserted: cached scenes without and with insertions. database: vehicles to paste; None: nothing is pasted.
     """
 
     def __init__(
@@ -68,8 +67,7 @@ class RandomCrops:
 class EpochCrops(RandomCrops):
     """Crops that show every inserted scene once an epoch, cut about its last box.
 
-    A share of `recipe.inserted_share`; the other crops are `RandomCrops` without insertion. The seed alone sets the
-    order.
+    A share of `recipe.inserted_share`; other crops are `RandomCrops` without insertion. The seed alone sets the order.
     """
 
     def of(self, step: int, slot: int) -> Crop:

@@ -32,7 +32,7 @@ def recompute_statistics(net: DetectorNet, clouds: Sequence[Tensor], windows: Se
     """Set every batch norm's mean and variance to those of this batch, in place; weights stay.
 
     All crops pass as one batch, and each layer is normalised by that batch: its statistics are those of its input at
-    inference. Means over small batches are not, because each small batch is normalised by its own statistics.
+    inference. Means over small batches differ, because each small batch is normalised by its own statistics.
     Source: our choice, after the population statistics of Ioffe and Szegedy 2015, section 3.1; Wu and Johnson 2021
     measure the loss from running means.
     """

@@ -89,8 +89,7 @@ class Recipe:
     a scene with inserted vehicles with probability `inserted_share`. crop_cells: side of the square crops, trained to
     their edges, which look like the grid's edges. batch: crops per step. jitter_m: largest offset in x and y of a
     crop's centre from its vehicle. empty_share: share of crops cut anywhere. min_points: a vehicle with fewer points is
-    neither a target nor background. bfloat16: compute large products in half the bytes, if the processor has
-    instructions for it.
+    neither a target nor background. bfloat16: compute large products in half the bytes where the processor can.
 
     box_weight, direction_weight: loss weights relative to the class loss; directions and anchor_size_m apply to anchors
     alone. code_weights: weights of the seven values of a box (x, y, z, length, width, height, heading). box_beta: error

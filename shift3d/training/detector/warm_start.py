@@ -6,8 +6,8 @@ Twelve layers, each followed by a norm, learn slowly from random weights: 4,750 
 the class loss that the small network had after 1,400. A grown network begins where the small one ended.
 
 Source: Net2Net (Chen et al. 2016): every channel is duplicated, and the layer that reads it divides its weight between
-the duplicates in random shares, so that they diverge in training. New layers between add nothing at first (out and
-narrow are zero).
+the duplicates in random shares, so that they diverge in training. New layers between add nothing at first, because
+their out and narrow weights are zero.
 """
 
 from __future__ import annotations

@@ -46,8 +46,7 @@ class ParametricRecipe:
     """Everything that decides the weights, beside the samples.
 
     shapes, samples_a_shape: vehicles, half seen and half held out, and samples of each. shapes_a_step, points_a_shape:
-    of a batch. start: "shipped" for the shipped decoder's network, "" for random weights. basis_std: of the basis'
-    initial values.
+    of a batch. start: "shipped" for the shipped network, "" for random weights. basis_std: of the initial basis.
     """
 
     shapes: int = 1200
@@ -125,8 +124,7 @@ def train_wide(
 ) -> list[float]:
     """Sample the wide family, train, and write the vehicle set to `out`. Returns its Chamfer distances in cm.
 
-    count, steps: None for the recipe's. Raises: InputError if `out` holds another training, or no kind has enough
-    vehicles.
+    count, steps: None for the recipe's. Raises: InputError: another training in `out`, or no kind with enough vehicles.
     """
     recipe = ParametricRecipe()
     recipe = replace(recipe, shapes=count or recipe.shapes, steps=steps or recipe.steps)
