@@ -199,7 +199,7 @@ class _Freezing:
         return rows
 
     def _register(self, row: Mapping[str, Any]) -> bool:
-        """Register the scene set and background of a row of an earlier run. False if the background is missing."""
+        """Register a stored row's scene set and background. Returns True if the background is in the suite."""
         (task,) = self.plan.tasks.starting_with(row["task_id"])
         self.writing.scene_set(self.plan.assets[task.assets].scenes)
         if self.writing.frames == "copied":

@@ -2,7 +2,7 @@
 
 Source: SECOND (Yan et al. 2018), section 3.4. Our choice beyond it: a vehicle is placed anywhere at its range or
 beyond, rotated about the sensor so that the same side is seen, on the local ground. Points are thinned by the square of
-the distance; points behind the vehicle and hidden vehicle points go.
+the distance; points behind the vehicle and hidden points on it are removed.
 """
 
 from __future__ import annotations
