@@ -1,1 +1,1 @@
-"""Fine-tuning on the objects that a sweep found, and whether the detector is the better for it."""
+"""Fine-tuning of a detector on the objects that a sweep found, and measurement of its gain."""

@@ -1,4 +1,4 @@
-"""The objects of a finished sweep: which of them a detector is fine-tuned on, and what others score them."""
+"""Objects of a finished sweep: selection of those to fine-tune on, with the attacked detector's scores."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from shift3d.task.spec import TaskSpec
 
 @dataclass(frozen=True)
 class SweepObject:
-    """A row of ``solutions.parquet``. assets: of its task, an index of the plan's. score: by the attacked detector.
+    """Row of ``solutions.parquet``. assets: index of its task's assets in the plan. score: of the attacked detector.
 
-    searched: False for the unchanged vehicle that stands for a search without a valid step.
+    searched: False for the unchanged vehicle that replaces a search without a valid step.
     """
 
     spec: TaskSpec
@@ -39,12 +39,12 @@ class SweepObject:
 
     @property
     def place(self) -> str:
-        """Where it stands, which intervals redraw whole, see `scenes.sets.place_of`."""
+        """Street or frame of the object; intervals resample places as a whole, see `scenes.sets.place_of`."""
         return place_of(self.spec.dataset, self.spec.scene)
 
     @property
     def settings(self) -> str:
-        """What tells it from others of its vehicle and method, its scene first."""
+        """Text of the settings that distinguish objects of one vehicle and method, the scene first."""
         spec = self.spec
         effects = "+".join(spec.effects) or "none"
         found = (spec.dataset, spec.scene, spec.mode, spec.lambda_, spec.alpha, spec.search, spec.accuracy, effects,
@@ -54,7 +54,7 @@ class SweepObject:
 
 @dataclass
 class SweepObjects:
-    """Objects of a sweep in plan order. left_out: how many are not among them, by the reason."""
+    """Objects of a sweep in plan order. left_out: number of omitted objects by reason."""
 
     folder: Location
     plan: Plan
@@ -63,14 +63,14 @@ class SweepObjects:
     _assets: dict[int, Assets] = field(default_factory=dict)
 
     def assets_of(self, found: SweepObject) -> Assets:
-        """What its task ran with, loaded on first use. Raises: InputError as `load_assets` does."""
+        """Return the assets of an object's task, loaded on first use. Raises: InputError as `load_assets` does."""
         if found.assets not in self._assets:
             self._assets[found.assets] = load_assets(self.plan.assets[found.assets])
         return self._assets[found.assets]
 
     @property
     def by_scene(self) -> dict[str, SweepObject]:
-        """An object of each scene, by the scene's name; of further scenes of one name, with their content's hash."""
+        """One object per scene, by scene name; further scenes of the same name add their content hash."""
         found: dict[str, SweepObject] = {}
         for row in self.objects:
             first = found.setdefault(row.spec.scene, row)
@@ -85,10 +85,9 @@ class SweepObjects:
 
 
 def scored_objects(folder: LocationLike, detector: str, methods: tuple[str, ...]) -> SweepObjects:
-    """Every object of some methods that the attacked detector scored.
+    """Return every object of some methods that the attacked detector scored.
 
-    Raises:
-        InputError: the folder is no finished sweep's or damaged, another detector was attacked, or nothing was scored.
+    Raises: InputError: no finished sweep, or a damaged one; another detector was attacked; nothing was scored.
     """
     folder = as_location(folder)
     plan = read_plan(folder)
@@ -121,14 +120,14 @@ def _key(row: Mapping[str, Any]) -> tuple[str, str, int]:
 
 
 def refuse_other_weights(found: SweepObjects, weights_hash: str, whose: str, remedy: str) -> None:
-    """Refuse a sweep that attacked other weights than those of a hash. whose: what these are. Raises: InputError."""
+    """Refuse a sweep that attacked weights of another hash. whose: names the expected weights. Raises: InputError."""
     detector = found.objects[0].spec.detector
     if any(row.spec.detector_hashes.get(detector) != weights_hash for row in found.objects):
         raise InputError(f"attacked other weights of {detector} than {whose}", str(found.folder), remedy)
 
 
 def refuse_other_splits(specs: Iterable[TaskSpec], where: str) -> None:
-    """Refuse tasks to tune on that are on streets of another split than train. Raises: InputError naming a street."""
+    """Refuse tuning tasks on streets of another split than train. Raises: InputError naming a street."""
     for spec in specs:
         made = spec.scene_arguments
         if made.get("kind") == "street" and made.get("split") != "train":
@@ -137,13 +136,11 @@ def refuse_other_splits(specs: Iterable[TaskSpec], where: str) -> None:
 
 
 def stable_objects(folder: LocationLike, detector: str, weights_hash: str, method: str) -> SweepObjects:
-    """The objects of a method that a detector may be fine-tuned on: of the tasks whose adversarial object is still hard
-    at reference accuracy.
+    """Return a method's objects to fine-tune on, of tasks whose adversarial object is still hard at reference accuracy.
 
-    So a control, which is tuned on what stood there before, sees the same scenes as often.
-
-    weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_files.detector_hash`.
-    method: "adversarial", or "baseline" for the unchanged vehicles.
+    A control, which is tuned on the unchanged vehicles, thus sees the same scenes equally often.
+    weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_files.detector_hash`. method:
+    "adversarial", or "baseline" for the unchanged vehicles.
     Raises: InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or
     ran on streets of another split than train.
     """

@@ -1,4 +1,4 @@
-"""The page of a fine-tuning: what it gained, threshold-recall curves of both models, and the paper's figures."""
+"""HTML page of a fine-tuning: gains, threshold-recall curves of the models, and the paper's figures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COLOURS = {VANILLA: "#7d7d7d", TUNED: "#d55e00", "control": "#2f8fc9"}
 PAPER = {"baseline": (0.751, 0.774), "adversarial": (0.482, 0.514)}
 """AUC before and after. Source: SHIFT3D, table tab:fine_tune_auc."""
 PAPER_NATURAL = {"APH BEV": (0.810, 0.812), "AP BEV": (0.823, 0.826), "APH 3D": (0.603, 0.605), "AP 3D": (0.610, 0.612)}
-"""LEVEL_1, before and after, on the Waymo Open Dataset. Source: SHIFT3D, table tab:natural_metrics."""
+"""LEVEL_1 metrics before and after, on the Waymo Open Dataset. Source: SHIFT3D, table tab:natural_metrics."""
 _MEANINGS = {
     "vanilla": "the detector before.",
     "fine-tuned": "after one epoch on the adversarial objects; the mean over its seeds.",
@@ -38,7 +38,7 @@ _MEANINGS = {
 
 
 def gains_table(table: pd.DataFrame) -> Table:
-    """AUC and AP of vanilla and of every tuned model's mean over its seeds, gains, and the paper's figures beside.
+    """Make the table of AUC and AP: vanilla, each tuned model's mean over its seeds, gains, and the paper's figures.
 
     table: of schema `finetuning.table.FINETUNE`.
     """
@@ -70,7 +70,7 @@ def gains_table(table: pd.DataFrame) -> Table:
 
 
 def seeds_table(table: pd.DataFrame) -> Table:
-    """Every seed's numbers."""
+    """Make the table of every seed's numbers."""
     lines = [
         [
             SCENE_SETS[row.scene_set],
@@ -89,10 +89,10 @@ def seeds_table(table: pd.DataFrame) -> Table:
 def finetune_page(
     table: pd.DataFrame, scores: pd.DataFrame, provenance: Mapping[str, Any], commands: Sequence[str]
 ) -> str:
-    """The page; the same content to the same text.
+    """Return the page as HTML; the same content gives the same text.
 
-    table: of schema `FINETUNE`. scores: a row an object, as `finetune_table` takes them. provenance: of one of the
-    tuned weights. commands: that made it, in order.
+    table: of schema `FINETUNE`. scores: one row per object, as for `finetune_table`. provenance: of one of the tuned
+    weights. commands: commands that made the results, in order.
     """
     lead = (
         "A detector is attacked on training streets, fine-tuned for one epoch on what was found there, and "

@@ -1,4 +1,4 @@
-"""A fine-tuning's folder: from scores and evaluations to finetune.parquet, report.html and MLflow."""
+"""Report of a fine-tuning: from scores and evaluations to finetune.parquet, report.html and MLflow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from shift3d.store.tables import read_parquet, write_table
 from shift3d.training.detector.detect_scenes import read_answer
 
 HELD_OUT = ("held_out", "other_vehicles")
-"""Folders of the sweeps over held-out streets: of vanilla in the fine-tuning's folder, of a tuned model in its own."""
+"""Folders of sweeps over held-out streets: vanilla's in the fine-tuning's folder, a tuned model's in the model's."""
 NATURAL = "natural"
 _TABLE, _PAGE = "finetune.parquet", "report.html"
 _OBJECT = [name for name in RESCORED.names if name != "score"]
@@ -29,7 +29,7 @@ _OBJECT = [name for name in RESCORED.names if name != "score"]
 
 @dataclass(frozen=True)
 class Tuned:
-    """One tuned model. folder: holds its weights, evaluation and, where it is attacked, its own sweeps."""
+    """One tuned model. folder: holds its weights, its evaluation and, if it is attacked, its own sweeps."""
 
     model: str
     seed: int
@@ -38,18 +38,18 @@ class Tuned:
 
     @property
     def weights(self) -> Path:
-        """Its file."""
+        """File of the weights."""
         return self.folder / f"{self.detector}.safetensors"
 
     def scores_file(self, sweep: str) -> Path:
-        """Where its scores of vanilla's objects lie: other weights have another file."""
+        """Return the file of the model's scores of vanilla's objects; the name depends on the weights."""
         return self.folder / f"scores-{sweep}-{file_hash(self.weights)[:12]}.parquet"
 
 
 def score_held_out(folder: Path, tuned: Tuned) -> None:
-    """Score vanilla's objects of every held-out sweep by a tuned model; what is there is not scored again, unless the
-    sweep has got further objects, as of tasks that were retried.
+    """Score vanilla's objects of every held-out sweep with a tuned model.
 
+    Stored scores are reused unless the sweep has further objects, as from tasks that were retried.
     Raises: InputError as `rescored`; a file of scores that is damaged.
     """
     for sweep in HELD_OUT:
@@ -59,9 +59,9 @@ def score_held_out(folder: Path, tuned: Tuned) -> None:
 
 
 def write_report(folder: Path, detector: str, models: Sequence[Tuned], commands: Sequence[str]) -> str:
-    """Write finetune.parquet and report.html, each whole or not at all; returns the table that is printed.
+    """Write finetune.parquet and report.html atomically. Returns the table to print.
 
-    commands: that made the folder, for the page. The same folder gives the same bytes.
+    commands: commands that made the folder, for the page. The same folder gives the same bytes.
     Raises: InputError for a sweep, evaluation or scores that are missing or damaged, or a full disk.
     """
     scores = pd.concat(list(_scores(folder, detector, models)), ignore_index=True)
@@ -77,12 +77,12 @@ def write_report(folder: Path, detector: str, models: Sequence[Tuned], commands:
 
 
 Model = tuple[str, int | None]
-"""A name and a seed, None for the detector before."""
+"""Name and seed of a model; seed None for vanilla, the detector before tuning."""
 
 
 def natural_areas(folders: Mapping[Model, Path]) -> dict[Model, dict[tuple[str, str], Area]]:
-    """AP and APH of models over the natural scenes that the last evaluation of each was of. folders: of evaluations."""
-    # Answers may be more, from the same command with more streets.
+    """Compute AP and APH of models on the natural scenes common to their last evaluations. folders: of evaluations."""
+    # A folder may hold more results, from the same command with more streets.
     tables = [_table(own / "timings.parquet") for own in folders.values()]
     shared = sorted(set.intersection(*(set(table["scene"].to_pylist()) for table in tables)))
     return {
@@ -92,7 +92,7 @@ def natural_areas(folders: Mapping[Model, Path]) -> dict[Model, dict[tuple[str, 
 
 
 def mirror(folder: Path, models: Sequence[Tuned], uri: str, experiment: str) -> str | None:
-    """Write the run of a fine-tuning to MLflow. Returns None, or why it could not be written."""
+    """Log a fine-tuning to MLflow as a run. Returns None, or why it could not be written."""
     metrics: dict[str, float] = {}
     for row in _table(folder / _TABLE).to_pylist():
         parts = [row["scene_set"], row["objects"], row["metric"], row["model"]]
@@ -116,7 +116,7 @@ def _params(facts: dict[str, object]) -> dict[str, object]:
 
 
 def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd.DataFrame]:
-    """Every model's scores; what vanilla's sweep found is also what is found against it."""
+    """Yield every model's scores; the objects that vanilla's sweep found also count as adaptive for vanilla."""
     for sweep in HELD_OUT:
         before = object_scores(folder / sweep, detector).to_pandas()
         yield _named(before, VANILLA, None, sweep)

@@ -1,4 +1,4 @@
-"""A sweep's objects scored by fine-tuned weights: what was found against the detector before."""
+"""Scores of a sweep's objects: by the attacked weights, and by fine-tuned weights."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.scoring import score_points
 from shift3d.training.provenance import refuse_tuned_scenes
 
-METHODS = ("baseline", "adversarial")
-"""Methods whose objects are scored."""
+METHODS = ("baseline", "adversarial")  # methods whose objects are scored
 RESCORED = schema_of_columns("rescored", 1, "task_id vehicle place settings method score:float64")
-"""A row an object. place: data set and street or frame. settings: what else tells objects of a sweep apart."""
+"""One row per object. place: data set and street or frame. settings: other settings that distinguish objects."""
 
 
 def object_scores(folder: LocationLike, detector: str, weights: Path | None = None) -> pa.Table:
-    """What the attacked detector scored a sweep's objects, as `RESCORED`.
+    """Return the attacked detector's scores of a sweep's objects, as `RESCORED`.
 
-    Raises: InputError: as `scored_objects`; the sweep attacked others than these weights.
+    Raises: InputError: as `scored_objects`; the sweep attacked other weights than these.
     """
     found = scored_objects(folder, detector, METHODS)
     if weights is not None:
@@ -37,11 +36,10 @@ def object_scores(folder: LocationLike, detector: str, weights: Path | None = No
 
 
 def rescored(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
-    """What other weights of the attacked detector score a sweep's objects, rendered again, as `RESCORED`.
+    """Render a sweep's objects again and score them with other weights of the attacked detector, as `RESCORED`.
 
-    The sweep's own weights give its own scores, bit for bit, on one machine.
-    Raises:
-        InputError: as `scored_objects`; weights that cannot be loaded, or that were fine-tuned on a scene of the sweep.
+    On one machine the sweep's own weights reproduce its scores bit for bit.
+    Raises: InputError: as `scored_objects`; weights that cannot be loaded, or were fine-tuned on a scene of the sweep.
     """
     found = scored_objects(folder, detector, METHODS)
     refuse_tuned_scenes(weights, found.scenes)

@@ -1,4 +1,4 @@
-"""Whether fine-tuning made a detector better: AUC and AP of every model, and what each gained, as one table."""
+"""Table of a fine-tuning's results: AUC and AP of every model, and gains over vanilla."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ VANILLA, TUNED = "vanilla", "finetuned"
 ADAPTIVE = "adversarial_adaptive"
 _KEY = ["vehicle", "place", "settings"]
 
-# model: vanilla, finetuned, or control: tuned on the unchanged vehicles of the same tasks. seed: of the tuning; null:
-# of no tuning, or the mean over its seeds. objects: baseline | adversarial (found against vanilla) |
-# adversarial_adaptive (found against this model); null: labels. scene_set: held_out | other_vehicles | natural. metric:
-# auc | AP BEV | AP 3D | APH BEV | APH 3D. low, high: 95 %, scenes resampled; null: a single scene. gain: over vanilla,
-# of the same objects; null: of vanilla itself. number: of objects, or of labelled vehicles.
+# model: vanilla, finetuned, or control (tuned on the unchanged vehicles of the same tasks). seed: of the tuning; null:
+# vanilla, or the mean over seeds. objects: baseline | adversarial (found against vanilla) | adversarial_adaptive (found
+# against this model); null: labels. scene_set: held_out | other_vehicles | natural. metric: auc | AP BEV | AP 3D |
+# APH BEV | APH 3D. low, high: 95 %, scenes resampled; null: a single scene. gain: over vanilla, on the same objects;
+# null: vanilla. number: of objects, or of labelled vehicles.
 FINETUNE = schema_of_columns(
     "finetune",
     1,
     "model seed:int64? objects? scene_set metric value:float64 low:float64? high:float64? gain:float64? "
     "gain_low:float64? gain_high:float64? number:int64 scenes:int64?",
 )
-"""A row a model, seed, kind of objects, set of scenes and metric."""
+"""One row per model, seed, kind of objects, set of scenes and metric."""
 
 
 def finetune_table(scores: pd.DataFrame, natural: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """The table of every AUC and of the natural metrics.
+    """Make the table of every AUC and of the natural metrics.
 
-    scores: a row an object: model, seed (NaN: none), scene_set, objects, vehicle, place, settings, score. An AUC is the
-    mean score. A gain is of the objects that both models were scored on, paired, scenes resampled.
-    natural: of `natural_rows`.
+    scores: one row per object: model, seed (NaN: none), scene_set, objects, vehicle, place, settings, score. An AUC is
+    the mean score. A gain is a paired difference over the objects that both models scored, with scenes resampled.
+    natural: rows of `natural_rows`.
     """
     rows = [*_aucs(scores), *natural]
     return pa.Table.from_pylist([{name: row.get(name) for name in FINETUNE.names} for row in rows], schema=FINETUNE)
 
 
 def seed_means(scores: pd.DataFrame) -> pd.DataFrame:
-    """Scores of tuned models averaged over seeds, object by object, without a seed; objects that every seed has.
+    """Average the scores of tuned models over seeds, object by object; objects that a seed lacks are left out.
 
-    Objects that differ in nothing that `_KEY` names, as under several attack.starts, count as one.
+    Objects with equal `_KEY`, as under several attack.starts, count as one.
     """
     tuned = scores[scores["seed"].notna()]
     if tuned.empty:
@@ -81,10 +81,10 @@ def _interval(name: str, values: pd.Series, places: pd.Series) -> dict[str, floa
 
 
 def natural_rows(areas: Mapping[tuple[str, int | None], Mapping[tuple[str, str], Area]]) -> list[dict[str, Any]]:
-    """AP and APH of every model as rows of `FINETUNE`, gains paired over the same resampled scenes.
+    """Return AP and APH of every model as rows of `FINETUNE`, gains paired over the same resampled scenes.
 
-    areas: `evaluation.breakdown.overall_areas` by model and seed, vanilla among them, of the same scenes. A metric that
-    some model has not, of scenes without a vehicle, is left out.
+    areas: `evaluation.breakdown.overall_areas` by model and seed, vanilla included, of the same scenes. A metric that
+    some model lacks, as of scenes without a vehicle, is left out.
     """
     models = dict.fromkeys(model for model, seed in areas if seed is not None)
     groups = {key: [key] for key in areas}
@@ -103,7 +103,7 @@ def natural_rows(areas: Mapping[tuple[str, int | None], Mapping[tuple[str, str],
 
 
 def _mean_area(name: str, areas: Sequence[Area], before: Area | None) -> dict[str, float | None]:
-    """The mean of areas, less that of another model where it is given, and where it lies over resampled scenes."""
+    """Return the mean of areas, minus `before` if given, and its interval over resampled scenes."""
     values = [float(area.value or 0.0) for area in areas]
     value = sum(values) / len(values) - float((before.value if before else 0.0) or 0.0)
     drawn = np.mean([_known(area) for area in areas], axis=0) - (_known(before) if before else 0.0)
@@ -111,7 +111,7 @@ def _mean_area(name: str, areas: Sequence[Area], before: Area | None) -> dict[st
 
 
 def _columns(name: str, value: float, low: float | None, high: float | None) -> dict[str, float | None]:
-    """name: "gain", or "" for the value itself."""
+    """Return the columns of a value and its interval. name: "gain", or "" for the value itself."""
     prefix = f"{name}_" if name else ""
     return {name or "value": value, f"{prefix}low": low, f"{prefix}high": high}
 

@@ -1,8 +1,8 @@
-"""A detector fine-tuned on the objects of a sweep, its weights with their provenance.
+"""Fine-tuning of a detector on the objects of a sweep, and its weights with provenance.
 
 Source: SHIFT3D, Improving Model Robustness: one epoch at a small rate over scenes with an object. Our choice beyond it:
-half of the crops show the same scenes without an object, boxes weigh less beside the class, and batch norms keep the
-statistics of the start, so that at a rate of 0 the detector would be the one before.
+half of the crops show the same scenes without an object, the box loss weighs less relative to the class loss, and batch
+norms keep the statistics of the start, so that a rate of 0 leaves the detector unchanged.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from shift3d.training.provenance import read_provenance, write_provenance
 
 
 def objects_digest(found: SweepObjects) -> str:
-    """64 bits of which objects they are, hex."""
+    """Return a 64-bit hex digest of the identities of the objects."""
     text = "\n".join(f"{task} {method} {replicate}" for task, method, replicate in (row.key for row in found.objects))
     return hashlib.blake2b(f"{found.plan.spec_hash}\n{text}".encode(), digest_size=8).hexdigest()
 
 
 def object_scenes(folder: Path, found: SweepObjects) -> list[Path]:
-    """Cached scenes with one object each, in the order of the objects; those that are missing are rendered.
+    """Return cached scenes with one object each, in the order of the objects; missing scenes are rendered.
 
-    Raises: InputError for a scene, vehicle or weights that are not those of the sweep.
+    Raises: InputError for a scene, vehicle or weights that differ from those of the sweep.
     """
     rows = {"-".join(map(str, row.key)): row for row in found.objects}
     place = folder / f"objects-{objects_digest(found)}"
@@ -59,7 +59,7 @@ def object_scenes(folder: Path, found: SweepObjects) -> list[Path]:
 
 
 def natural_scenes(folder: Path, found: SweepObjects) -> list[Path]:
-    """Cached scenes of the same sweep as they are, each once."""
+    """Return cached scenes of the same sweep without objects, each once."""
     rows = found.by_scene
 
     def build(name: str) -> TrainingScene:
@@ -70,10 +70,9 @@ def natural_scenes(folder: Path, found: SweepObjects) -> list[Path]:
 
 
 def object_scene(row: SweepObject, assets: Assets) -> TrainingScene:
-    """An object rendered into its scene as its task did, its box labelled and last; cut to what is labelled.
+    """Render an object into its scene as its task did, label its box last, and cut the scene to its labelled sector.
 
-    The box has the size of the unchanged vehicle, as where the object is attacked and scored. Points that effects made
-    vanish are left out.
+    The box has the size of the unchanged vehicle, as in attack and scoring. Points that effects removed are left out.
     """
     scene, _ = assets.scene(row.spec)
     rendered = render_solution(row.spec, row.solution, assets)
@@ -85,7 +84,7 @@ def object_scene(row: SweepObject, assets: Assets) -> TrainingScene:
     boxes[:, 2] -= np.float32(scene.ground_z_m)
     on_ground = points.numpy()[kept].astype(np.float32) - np.array((0.0, 0.0, scene.ground_z_m), dtype=np.float32)
     boxes = np.concatenate((boxes, own[None].astype(np.float32)))
-    # A pose search may have turned or moved it out of the sector that it was placed in.
+    # A pose search may have moved the object out of the sector of its placement.
     return cut_scene(on_ground, boxes, -float(scene.ground_z_m), _sector_rad(row.spec), last_stays=True)
 
 
@@ -96,26 +95,27 @@ def _sector_rad(spec: TaskSpec) -> tuple[float, float]:
 RATE = 1e-5
 """Peak learning rate (our choice, for an epoch of some hundred steps; the paper: 1e-7, its optimiser unstated)."""
 BOX_SHARE = 0.1
-"""Of the recipe's weights of boxes and directions. In a crop about a hard object their gradient is thirty times that of
-the class: at full weight the object's score fell over 36 steps at `RATE`, with a tenth it rose (our choice)."""
+"""Factor on the recipe's weights of boxes and directions (our choice).
 
-BATCH = 2
-"""Crops a step, as `RATE` was chosen for."""
+In a crop about a hard object their gradient is thirty times that of the class: at full weight the object's score fell
+over 36 steps at `RATE`, at a tenth it rose.
+"""
+
+BATCH = 2  # crops per step, for which `RATE` was chosen
 
 
 @subnormals_as_before()
 def fine_tune(
     detector: str, sweep: LocationLike, options: TrainOptions, method: str = "adversarial", report: Report | None = None
 ) -> Path:
-    """Train one epoch over the stable objects of a verified sweep, or go on from where an interrupted one stopped.
+    """Train one epoch over the stable objects of a verified sweep, or resume an interrupted training.
 
     Args:
-        options: of which out, threads, device, steps (None: an epoch's), start_from (None: the shipped weights) and
-            recipe count.
-        method: whose objects: "adversarial", or "baseline" for a control that sees the same scenes.
-        report: is given the curves' points after every checkpoint.
-    Returns: the weights, float32, beside a JSON file of their provenance: the same bytes for the same sweep, recipe and
-        start on one processor.
+        options: uses out, threads, device, steps (None: an epoch's), start_from (None: shipped weights) and recipe.
+        method: of the objects: "adversarial", or "baseline" for a control that sees the same scenes.
+        report: called with the curves' points after every checkpoint.
+    Returns: the weights file, float32, with a JSON file of provenance beside it: the same bytes for the same sweep,
+    recipe and start on one processor.
     Raises: InputError: as `stable_objects`; a field that a recipe does not have; a checkpoint of another tuning in out.
     """
     shipped = WEIGHTS_FOLDER / f"{detector}.safetensors"
@@ -155,15 +155,13 @@ def fine_tune(
     return weights
 
 
-_NOT_OF_A_TUNING = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes")
-"""Fields of a recipe that the sweep, the weights at the start or steps= decide."""
+_NOT_OF_A_TUNING = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes")  # the sweep, the start or steps= decide
 
 
 def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
-    """The detector's recipe for one epoch over some objects at `RATE`, with the fields that were given.
+    """Return the detector's recipe for one epoch over some objects at `RATE`, with the given fields.
 
-    Crops vary as those of any recipe: what widens the sizes of a family would change the shapes that were found.
-
+    Crops use the default augmentation: the detector's own may widen sizes and so change the found shapes.
     Raises: InputError for an unknown field, or a value that it cannot have.
     """
     shipped = RECIPES[detector]
@@ -195,7 +193,7 @@ def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
 
 
 def _with_anchors(recipe: Recipe, state: Mapping[str, Tensor]) -> Recipe:
-    """The recipe with the anchors of the weights that it starts from, which stay as they are."""
+    """Return the recipe with the anchors of the start weights, which stay as they are."""
     if ANCHOR_SIZE not in state:
         return recipe
     length, width, height = state[ANCHOR_SIZE].tolist()
@@ -203,7 +201,7 @@ def _with_anchors(recipe: Recipe, state: Mapping[str, Tensor]) -> Recipe:
 
 
 def _tuned_on(found: SweepObjects, method: str) -> dict[str, Any]:
-    """The objects of a fine-tuning, for its provenance."""
+    """Return the facts about the objects of a fine-tuning, for its provenance."""
     vehicles = Counter(row.spec.vehicle for row in found.objects)
     return {
         "sweep": found.plan.sweep,

@@ -1,1 +1,1 @@
-"""Natural kin of a shape: labelled vehicles cropped from scenes, their shapes fitted to what was seen, the nearest."""
+"""Nearest natural vehicles of a shape: labelled vehicles cropped from scenes, with shapes fitted to their points."""

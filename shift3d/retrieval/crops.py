@@ -1,4 +1,4 @@
-"""Labelled vehicles cropped from a scene: their points and the beams through their boxes, in the object frame."""
+"""Labelled vehicles cropped from a scene: points, and beams through the box, in the object frame."""
 
 from __future__ import annotations
 
@@ -13,28 +13,23 @@ from shift3d.scenes.scene import Scene
 
 Array = NDArray[np.float64]
 FEWEST_POINTS = 10
-FLOOR_M = 0.2
-"""Points lower than this in the box are left out: the ground comes up to here on a slope of 3 degrees, or with a box
-that is a little low."""
-MARGIN_M = 0.1
-"""Of the box's other faces: labels are a few centimetres off."""
-KEPT_POINTS, KEPT_BEAMS = 128, 48
-"""Of a crop that has more, this many are kept, spread evenly."""
+FLOOR_M = 0.2  # lower points of a box are dropped: the ground reaches here on a slope of 3 degrees or in a low box
+MARGIN_M = 0.1  # of the box's other faces: labels are a few centimetres off
+KEPT_POINTS, KEPT_BEAMS = 128, 48  # largest numbers kept of a crop, spread evenly
 _CELL_M = 0.08
-_CHORD = (0.15, 0.4, 0.65, 0.9)
-"""Where along a beam's way through the box it is known to be outside the vehicle, as shares of the way."""
-_BEFORE_M = 0.15  # the way ends this far before a return on the vehicle
+_CHORD = (0.15, 0.4, 0.65, 0.9)  # fractions of a beam's path through the box, outside the vehicle
+_BEFORE_M = 0.15  # the path ends this far before a return on the vehicle
 _SIDE_POINTS = 3
 
 
 @dataclass(frozen=True)
 class Crop:
-    """One labelled vehicle as a scene shows it, object frame: x forward, y left, z up, the box's centre is the origin.
+    """One labelled vehicle of a scene, object frame: x forward, y left, z up, origin at the box's centre.
 
-    label: its row among the scene's labels. box: (7,), scene frame. kind: the data set's own name for it. points: of
-    the scene in the box, its floor left out, and how many. surface: (P, 3) of these that are fitted, at most
-    `KEPT_POINTS`. free: (Q, 3) places that beams passed through. sides: see `seen_sides`. range_m: horizontal, to the
-    box's centre. refused: why it cannot be fitted, "" where it can.
+    label: row among the scene's labels. box: (7,), scene frame. kind: the data set's name for it. points: number of
+    scene points in the box above its floor. surface: (P, 3), at most `KEPT_POINTS` of these, which are fitted. free:
+    (Q, 3) places that beams passed through. sides: see `seen_sides`. range_m: horizontal, to the box's centre. refused:
+    reason against a fit, "" if there is none.
     """
 
     label: int
@@ -49,12 +44,12 @@ class Crop:
 
 
 def crop_vehicles(scene: Scene) -> list[Crop]:
-    """Every labelled vehicle of a scene, in label order; those that cannot be fitted say why.
+    """Crop every labelled vehicle of a scene, in label order, with the reason if a crop cannot be fitted.
 
-    Refused are fewer than `FEWEST_POINTS` points ("few_points"), and boxes of sizes that no published vehicle has
-    ("box_size"). Depends on the set of points alone, not on their order.
-    Source: SHIFT3D, supplement ("cropping out the point cloud corresponding to each vehicle"); limits, and the places
-    that beams passed through, are our choice.
+    Refused: fewer than `FEWEST_POINTS` points ("few_points"), and box sizes that no published vehicle has ("box_size").
+    The result depends on the set of points alone, not on their order.
+    Source: SHIFT3D, supplement ("cropping out the point cloud corresponding to each vehicle"); limits and free places,
+    through which beams passed, are our choice.
     """
     valid = scene.has_beam
     points, origins = scene.points[valid].astype(np.float64), scene.origins[valid].astype(np.float64)
@@ -79,7 +74,7 @@ def _crop(label: int, box: Array, kind: str, points: Array, origins: Array) -> C
 
 
 def _meets(points: Array, origins: Array, centre: Array, radius_m: float) -> NDArray[np.bool_]:
-    """(N,) which beams pass a sphere, and not after their return."""
+    """Return a mask (N,) of beams that enter a sphere before their return."""
     way, offset = points - origins, centre - origins
     length = np.linalg.norm(way, axis=1)
     along = np.einsum("ij,ij->i", way, offset) / length
@@ -95,7 +90,7 @@ def _vehicle_size(box: Array) -> bool:
 
 
 def _spread(points: Array, count: int) -> Array:
-    """At most `count` of sorted points (N, 3): one a cell, then every n-th."""
+    """Reduce sorted points (N, 3) to at most `count`: one per cell, then every n-th."""
     if len(points) > count:
         _, first = np.unique(np.floor(points / _CELL_M).astype(np.int64), axis=0, return_index=True)
         points = points[np.sort(first)]
@@ -103,7 +98,7 @@ def _spread(points: Array, count: int) -> Array:
 
 
 def _free_places(starts: Array, ends: Array, inside: NDArray[np.bool_], half: Array) -> Array:
-    """Places in the box that beams passed through: up to shortly before a return in it, or all the way."""
+    """Return places in the box that beams passed through: up to shortly before a return in it, or all the way."""
     way = ends - starts
     length = np.linalg.norm(way, axis=1)
     aim = way / length[:, None]
@@ -113,7 +108,7 @@ def _free_places(starts: Array, ends: Array, inside: NDArray[np.bool_], half: Ar
     leave = np.nanmin(np.maximum(near, far), axis=1)
     leave = np.minimum(leave, length - np.where(inside, _BEFORE_M, 0.0))
     kept = np.flatnonzero(leave > enter)
-    # Beams that left the box say more than those that ended in it.
+    # Beams that crossed the box say more than beams that ended in it.
     kept = kept[np.lexsort((*ends[kept].T, inside[kept]))]
     through, ended = kept[~inside[kept]], kept[inside[kept]]
     picked = np.concatenate([part[_even(len(part), KEPT_BEAMS // 2)] for part in (through, ended)])
@@ -126,10 +121,10 @@ def _even(length: int, count: int) -> NDArray[np.int64]:
 
 
 def seen_sides(points: Array, half: Array) -> tuple[str, ...]:
-    """Which of front, rear, left and right points (N, 3) of the object frame lie along, half (3,) being the box's.
+    """Return the sides (front, rear, left, right) that points (N, 3), object frame, lie along. half: (3,) of the box.
 
-    A flank is seen where points near it reach over a third of the length, an end where points near it reach over half
-    of the width. Source: our choice.
+    A flank is seen if points near it span over a third of the length, an end if points near it span over half of the
+    width. Source: our choice.
     """
     found = []
     for name, axis, sign in (("front", 0, 1.0), ("rear", 0, -1.0), ("left", 1, 1.0), ("right", 1, -1.0)):

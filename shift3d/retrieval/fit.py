@@ -1,4 +1,4 @@
-"""A vehicle's shape from the points that a scene shows of it: coordinates of the subspace, by damped Gauss-Newton."""
+"""Fit of a vehicle's shape to its visible points: coordinates of the subspace, by damped Gauss-Newton."""
 
 from __future__ import annotations
 
@@ -12,28 +12,25 @@ from shift3d.retrieval.subspace import Subspace
 
 Array = NDArray[np.float64]
 ITERATIONS = 12
-NOISE_M = 0.03
-"""Of a surface point: what the decoder, the subspace and a label are off, together."""
+NOISE_M = 0.03  # standard deviation of a surface point: errors of decoder, subspace and label together
 CLAMP_M = (0.3, 0.1)
-"""Distances beyond which a point counts for less and less, at the first step and from the fourth on."""
-FREE_CLAMP_M = 0.3
-"""The same of depths of free places: a beam may pass through windows."""
-COUNTED = 60.0
-"""Neighbouring points err alike: so many at most count as independent."""
+"""Distances beyond which a point's weight falls, at the first step and from the fourth step on."""
+FREE_CLAMP_M = 0.3  # the same for depths of free places: a beam may pass through windows
+COUNTED = 60.0  # largest number of independent points: errors of neighbouring points are alike
 SHIFT_M, TURN_RAD, STRETCH = 0.05, 0.0175, 0.02
-"""Standard deviations of how far the box's centre and heading, and the scale that its length gives, are off."""
+"""Standard deviations of the errors of the box's centre, its heading, and the scale that its length gives."""
 _ENOUGH, _MOST_DAMPING = 1e-3, 1e4
 _OUTLIER_M = 0.15
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted shape.
+    """Fitted shape.
 
     u: (k,) coordinates of the subspace. scale_m: metres per sdf unit. shift_m: (3,) from the box's centre to the
-    shape's, object frame. turn_rad: from the box's heading to the shape's. residual_m: median distance of the points
-    to the surface. outliers: share of points farther than 15 cm from it. uncertainty: (k,) standard deviations of u,
-    in those of the known codes; 1: nothing was seen of it.
+    shape's, object frame. turn_rad: from the box's heading to the shape's. residual_m: median distance of the points to
+    the surface. outliers: share of points farther than 15 cm from it. uncertainty: (k,) standard deviations of u,
+    relative to those of the known codes; 1: the points do not constrain the coordinate.
     """
 
     u: Array
@@ -46,9 +43,10 @@ class Fit:
 
 
 class _Problem:
-    """surface, free: (P, 3), (Q, 3), object frame. scale_m: at no stretch. rotation: sdf_R_object (3, 3).
+    """Objective of one fit. surface, free: (P, 3), (Q, 3), object frame. scale_m: at no stretch.
 
-    precision: (k + 5,) of a state: coordinates, shift, turn, stretch. share: (P + Q,) of a place in the sum.
+    rotation: sdf_R_object (3, 3). precision: (k + 5,) of a state: coordinates, shift, turn, stretch. share: (P + Q,)
+    weight of a place in the sum.
     """
 
     def __init__(
@@ -62,7 +60,7 @@ class _Problem:
         self.share = np.concatenate(parts) / noise_m**2
 
     def at(self, state: Array) -> _Point:
-        """Metric distances of all places, and their derivatives by the state."""
+        """Compute the metric distances of all places, and their derivatives w.r.t. the state."""
         k = self.subspace.components
         turn, scale = state[k + 3], self.scale_m * np.exp(state[k + 4])
         own = turned(np.concatenate((self.surface, self.free)) - state[k : k + 3], -turn)
@@ -74,13 +72,13 @@ class _Problem:
         return _Point(state, scale * value, np.column_stack((scale * by_u, -turned(normal, turn), by_turn, by_stretch)))
 
     def objective(self, at: _Point, clamp: float) -> float:
-        """Geman and McClure's function of the distances; a free place counts where it lies inside."""
+        """Compute Geman and McClure's function of the distances plus the prior; free places count only inside."""
         squared = at.distance**2 * self._counts(at)
         data = float((self.share * squared / (1.0 + squared / self._clamps(clamp) ** 2)).sum())
         return data + float((self.precision * at.state**2).sum())
 
     def normal_equations(self, at: _Point, clamp: float) -> tuple[Array, Array]:
-        """Hessian (k + 5, k + 5) and gradient (k + 5,) of half of the objective, as Gauss and Newton have them."""
+        """Compute the Gauss-Newton Hessian (k + 5, k + 5) and gradient (k + 5,) of half of the objective."""
         weight = self.share * self._counts(at) * (1.0 + (at.distance / self._clamps(clamp)) ** 2) ** -2.0
         hessian = at.by_state.T @ (weight[:, None] * at.by_state) + np.diag(self.precision)
         return hessian, at.by_state.T @ (weight * at.distance) + self.precision * at.state
@@ -94,7 +92,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Point:
-    """distance: (P + Q,) metres. by_state: (P + Q, k + 5)."""
+    """State with its distance: (P + Q,) metres, and by_state: (P + Q, k + 5)."""
 
     state: Array
     distance: Array
@@ -110,17 +108,17 @@ def fit_shape(
     sdf_R_object: Array | None = None,
     noise_m: float = NOISE_M,
 ) -> Fit:
-    """The most probable shape of the subspace behind some points: the maximum of a posterior.
+    """Compute the most probable shape of the subspace behind some points: the maximum of a posterior.
 
-    Minimized is the sum of squared distances of the points to the surface over `noise_m` squared, each distance damped
-    beyond `CLAMP_M`, that of the depths at which places that beams passed through lie inside, and the squared standard
-    deviations of the shape's coordinates, of the box's centre, its heading and the scale.
+    The objective sums the squared distances of the points to the surface and the squared depths of free places inside
+    the shape, both over `noise_m` squared and damped beyond a clamp, and a prior: the squared coordinates, and the
+    squared errors of the box's centre, heading and scale in units of their standard deviations.
 
     Args:
         surface: (P, 3) points on the vehicle, object frame of its box, metres; free: (Q, 3) places outside of it.
         length_m: of the box. scale_per_length: metres per sdf unit of a vehicle one metre long.
         sdf_R_object: (3, 3), default the identity. noise_m: standard deviation of a point, see `NOISE_M`.
-    A pure function: the same bytes whatever else is fitted, on one thread.
+    On one thread the bytes depend on the arguments alone.
     Source: SHIFT3D, supplement, eq. reconstruction; it has no free space, no prior and a known pose. These, and the
     second-order method (Gauss-Newton with the exact derivative by the coordinates), are our choice.
     """
@@ -140,7 +138,7 @@ def fit_shape(
 
 
 def _step(problem: _Problem, at: _Point, damping: float, clamp: float) -> tuple[_Point, float]:
-    """Where a damped step leads, within the ellipsoid, and by how much the objective falls."""
+    """Take a damped step inside the ellipsoid. Returns its end and the decrease of the objective."""
     k = problem.subspace.components
     hessian, gradient = problem.normal_equations(at, clamp)
     state = at.state - np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
@@ -165,7 +163,7 @@ def _fit(problem: _Problem, at: _Point) -> Fit:
 
 
 def turned(points: Array, angle_rad: float) -> Array:
-    """Points (N, 3) turned about z, counter-clockwise."""
+    """Rotate points (N, 3) about z, counter-clockwise."""
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     x, y, z = points.T
     return np.stack((cos * x - sin * y, sin * x + cos * y, z), axis=1)

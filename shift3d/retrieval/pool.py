@@ -1,4 +1,4 @@
-"""Vehicles whose shapes were fitted to what scenes show of them: the nearest to a shape, and others seen alike."""
+"""Pool of vehicles with fitted shapes: the nearest vehicle of a shape, and controls seen under like conditions."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 
 Array = NDArray[np.float64]
-RANGE_RATIO, POINTS_RATIO = 1.25, 1.5
-"""How far range and number of points of a control may lie from the matched vehicle's, as factors."""
+RANGE_RATIO, POINTS_RATIO = 1.25, 1.5  # largest factors between a control and the matched vehicle
 
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """N fitted vehicles, in a fixed order. codes: (N, d). range_m, points: (N,). rows: of the table, one each."""
+    """N fitted vehicles, in a fixed order. codes: (N, d). range_m, points (their number): (N,). rows: of the table."""
 
     codes: Array
     range_m: Array
@@ -27,9 +26,9 @@ class Pool:
 
     @staticmethod
     def of(table: Mapping[str, list[Any]], where: str) -> Pool:
-        """The vehicles of a table that were fitted and are not flagged. table: columns of ``vehicle_pool``.
+        """Select the fitted vehicles without flags. table: columns of ``vehicle_pool``.
 
-        Raises: InputError where there is none.
+        Raises: InputError if there is none.
         """
         rows = [dict(zip(table, values)) for values in zip(*table.values())]
         rows = [row for row in rows if row["status"] == "fitted" and not row["flags"]]
@@ -39,7 +38,7 @@ class Pool:
         return Pool(columns[0], columns[1], columns[2], rows)
 
     def nearest(self, code: Array) -> tuple[int, float]:
-        """The vehicle whose code is nearest to a code (d,), and its distance. Of equal ones the first.
+        """Return the index of the vehicle with the code nearest to `code` (d,), and the distance; ties give the first.
 
         Source: SHIFT3D, supplement, 'Retrieving the Nearest Match'.
         """
@@ -48,9 +47,9 @@ class Pool:
         return index, float(distance[index])
 
     def controls(self, index: int, count: int) -> list[int]:
-        """Up to so many other vehicles that were seen from as far and by as many points as one, the best matched first.
+        """Return up to `count` other vehicles with similar range and number of points, the best match first.
 
-        Source: our choice: the paper compares with the baseline alone, which nobody saw in a scene.
+        Source: our choice: the paper compares with the baseline alone, which no scene has shown.
         """
         far = np.abs(np.log(self.range_m / self.range_m[index])) / np.log(RANGE_RATIO)
         fewer = np.abs(np.log(self.points / self.points[index])) / np.log(POINTS_RATIO)
@@ -60,7 +59,7 @@ class Pool:
 
 
 def excluded(code: Array, distance: float) -> bool:
-    """Whether the nearest vehicle is too far from a shape's code (d,) to be its kin: not nearer than the code is long.
+    """True if the nearest vehicle is too far from a shape's code (d,): its distance is not below the code's length.
 
     Source: SHIFT3D, supplement: only objects with |z_natural - z| < |z| are considered.
     """

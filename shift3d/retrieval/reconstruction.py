@@ -1,4 +1,4 @@
-"""What became of one crop: its shape, what speaks against it, and the shape as a vehicle."""
+"""Reconstruction of one crop: the fitted shape, its flags, and the shape as a vehicle."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ FLAGS = {
     "deviations and more off the box's centre, heading or length",
     "no_surface": "the shape holds no place near its middle",
 }
-"""What speaks against a reconstruction; such vehicles are kept in the table and never retrieved."""
+"""Reasons against a reconstruction. Flagged vehicles stay in the table and are never retrieved."""
 _MOST_OUTLIERS, _MOST_DEVIATIONS = 0.25, 3.0
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """fit: of the crop. flags: see `FLAGS`."""
+    """Fit of a crop, and its flags, see `FLAGS`."""
 
     fit: Fit
     flags: tuple[str, ...]
@@ -42,14 +42,14 @@ class Reconstruction:
 
 @dataclass(frozen=True, eq=False)
 class Reconstructor:
-    """Fits crops. scale_per_length: metres per sdf unit of a vehicle one metre long. sdf_R_object: (3, 3)."""
+    """Fitter of crops. scale_per_length: metres per sdf unit of a vehicle one metre long. sdf_R_object: (3, 3)."""
 
     subspace: Subspace
     scale_per_length: float
     sdf_R_object: NDArray[np.float64]  # noqa: N815
 
     def reconstruct(self, crop: Crop) -> Reconstruction:
-        """The most probable shape behind a crop that is not refused. Source: SHIFT3D, supplement; see `fit_shape`."""
+        """Fit a crop that is not refused. Source: SHIFT3D, supplement; see `fit_shape`."""
         assert not crop.refused
         length_m = float(crop.box[3])
         fit = fit_shape(self.subspace, crop.surface, crop.free, length_m, self.scale_per_length, self.sdf_R_object)
@@ -61,7 +61,7 @@ class Reconstructor:
         return Reconstruction(fit, tuple(name for name in FLAGS if found[name]))
 
     def mean_mesh(self, length_m: float) -> trimesh.Trimesh:
-        """The mean of the known codes at a box's length: what is known of a vehicle without a point on it."""
+        """Return the mean shape of the known codes at a box's length: the prior for a vehicle without points."""
         mesh = self._mean_surface.copy()
         mesh.vertices = mesh.vertices @ self.sdf_R_object * (length_m * self.scale_per_length)
         return mesh
@@ -71,14 +71,14 @@ class Reconstructor:
         return self._surface(np.zeros(self.subspace.components))
 
     def mesh(self, fit: Fit) -> trimesh.Trimesh:
-        """The shape in the frame of its box, metres. Raises: InputError for a code without a surface."""
+        """Return the shape in the frame of its box, metres. Raises: InputError for a code without a surface."""
         mesh = self._surface(fit.u)
         own = mesh.vertices @ self.sdf_R_object * fit.scale_m
         return trimesh.Trimesh(turned(own, fit.turn_rad) + fit.shift_m, mesh.faces, process=False)
 
     @functools.cached_property
     def _places(self) -> Tensor:
-        """Places near the middle, of which a vehicle holds some."""
+        """Places near the middle; a valid shape contains some of them."""
         return torch.cartesian_prod(*(torch.linspace(-0.4, 0.4, 5),) * 3)
 
     def _surface(self, u: NDArray[np.float64]) -> trimesh.Trimesh:
@@ -93,9 +93,9 @@ def vehicle_of(
     scale_m: float,
     sdf_R_object: NDArray[np.float64],
 ) -> Vehicle:
-    """A fitted code (d,) as a vehicle of its own, its decoded box's centre being the origin.
+    """Make a vehicle of a fitted code (d,); the origin is the centre of its decoded box.
 
-    decoder: of the code, whatever vehicles the subspace was made of that the code was fitted in.
+    decoder: of the code; the subspace of the fit may come from other vehicles.
     Raises: InputError for a code without a surface.
     """
     vertices = np.asarray(decoded_surface(decoder.field(torch.from_numpy(code))).vertices) @ sdf_R_object

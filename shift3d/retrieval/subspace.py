@@ -1,4 +1,4 @@
-"""The decoder restricted to the principal components of its codes: the subspace is folded into two of its biases."""
+"""Decoder restricted to the principal components of its codes; the coordinates change only two of its biases."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _CODES, _PLACES = 24, 512
 class Subspace:
     """Codes z = mean + u @ basis, u (k,) in standard deviations of the known codes, within a ball of `radius`.
 
-    mean: (d,) float64. basis: (k, d) float64. field_at_mean: float32. by_coordinate: of each layer that the code
-    enters, (width, k) float32, what its bias changes by.
+    mean: (d,) float64. basis: (k, d) float64. field_at_mean: float32. by_coordinate: (width, k) float32 for each layer
+    that reads the code, the derivative of its bias w.r.t. u.
     """
 
     mean: NDArray[np.float64]
@@ -44,12 +44,12 @@ class Subspace:
         components: int = COMPONENTS,
         where: str = "codes",
     ) -> Subspace:
-        """The subspace of codes (N, d) that a float32 decoder is known to draw.
+        """Build the subspace of codes (N, d) that a float32 decoder is known to draw.
 
-        Hidden units that are off at five hundred places of the unit ball, for the mean and for other codes of the
-        ellipsoid, are left out: half of the time, and values that differ by less than a tenth of a millimetre on a car.
+        Hidden units that are off at 512 places of the unit ball, for the mean and for other codes of the ellipsoid, are
+        removed: evaluation takes half the time, and values change by less than 0.1 mm on a car.
 
-        Raises: InputError as `principal_components`, and for a decoder whose code enters otherwise than by biases.
+        Raises: InputError as `principal_components`, and for a decoder whose code enters other than by biases.
         Source: SHIFT3D, supplement, takes 10 components; the ellipsoid is our choice.
         """
         mean, spread, axes = principal_components(codes, components, where)
@@ -70,27 +70,27 @@ class Subspace:
 
     @property
     def components(self) -> int:
-        """k."""
+        """Number of components k."""
         return len(self.basis)
 
     def code(self, u: NDArray[np.float64]) -> NDArray[np.float32]:
-        """The latent code (d,) of coordinates (k,)."""
+        """Return the latent code (d,) of coordinates (k,)."""
         return (self.mean + u @ self.basis).astype(np.float32)
 
     def project(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Coordinates (k,), taken back to the ellipsoid's surface where they lie beyond it."""
+        """Project coordinates (k,) beyond the ellipsoid onto its surface."""
         length = float(np.linalg.norm(u))
         return u * (self.radius / length) if length > self.radius else u
 
     def field(self, u: NDArray[np.float64]) -> Field:
-        """The field of coordinates (k,); constants."""
+        """Return the field of coordinates (k,), without gradients."""
         at, biases = torch.from_numpy(u).float(), list(self.field_at_mean.biases)
         for layer, columns in self.by_coordinate.items():
             biases[layer] = biases[layer] + columns @ at
         return Field(self.field_at_mean.weights, biases, self.field_at_mean.skip_layer)
 
     def linearized(self, u: NDArray[np.float64], x_sdf: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Values (N,) at points (N, 3), sdf frame, and their derivatives by the point (N, 3) and by u (N, k).
+        """Return values (N,) at points (N, 3), sdf frame, and derivatives by the point (N, 3) and by u (N, k).
 
         Costs two evaluations, see `sdf.field`.
         """
@@ -101,7 +101,7 @@ class Subspace:
         return found.value, found.at_point, by_u
 
     def _live(self) -> list[Tensor]:
-        """Which hidden units are on somewhere in the unit ball, for some code of the ellipsoid: a bool mask a layer."""
+        """Return a mask per layer of hidden units that are on at some place of the unit ball for some code."""
         rng = generator("subspace survey", self.components)
         places = torch.from_numpy(rng.standard_normal((_PLACES, 3))).float()
         radius = torch.from_numpy(np.cbrt(rng.uniform(size=(_PLACES, 1)))).float()

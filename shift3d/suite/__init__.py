@@ -1,1 +1,1 @@
-"""Suites: hard objects of a sweep, frozen with their scenes, so that new weights can be scored on them."""
+"""Suites: hard objects of a sweep, frozen with their scenes, on which new weights are scored."""

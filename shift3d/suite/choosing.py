@@ -1,4 +1,4 @@
-"""Which solutions of a finished sweep a suite freezes."""
+"""Selection of the solutions of a finished sweep that a suite freezes."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _KEY = ["task_id", "method", "replicate"]
 
 @dataclass(frozen=True)
 class Choice:
-    """What to freeze.
+    """Rule of the selection.
 
-    method: of the solutions. count: at most so many hard objects. by: "random" draws without bias; "hardest" takes the
-    lowest scores, which are in part low by chance and rise under any other weights. controls: the unchanged vehicle of
-    each task as well.
+    method: of the solutions. count: largest number of hard objects. by: "random" draws without bias; "hardest" takes
+    the lowest scores, which are in part low by chance and rise under any other weights. controls: also freeze the
+    unchanged vehicle of each task.
     """
 
     method: str = "adversarial"
@@ -34,10 +34,10 @@ class Choice:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Rows of ``solutions.parquet`` and ``scores.parquet``.
+    """Selected rows of ``solutions.parquet``, and rows of ``scores.parquet``.
 
-    hard, controls: solutions in plan order. scores: of both, a row an object and detector. left_out: why solutions were
-    not eligible, and how many. unverified: of hard, solutions that `shift3d verify` has not looked at.
+    hard, controls: solutions in plan order. scores: all rows of the sweep with a score, one per object and detector.
+    left_out: number of ineligible solutions by reason. unverified: number of hard ones without verification.
     """
 
     hard: pd.DataFrame
@@ -48,12 +48,12 @@ class Chosen:
 
 
 def choose_solutions(sweep: Location, choice: Choice) -> Chosen:
-    """The solutions of a finished sweep that are to be frozen; the same tables and choice to the same ones.
+    """Select the solutions of a finished sweep to freeze; the same tables and choice give the same solutions.
 
-    Left out: what has no score or breaks a constraint, what a verification found unstable, and shapes that a search or
-    a draw made which are not natural, where that was measured.
+    Left out: objects without a score, without a change by the search, or with a broken constraint; objects that a
+    verification found unstable; shapes of a search or a draw that were measured as not natural.
 
-    Raises: InputError: the sweep is not finished, has no such method, or nothing of it is eligible.
+    Raises: InputError: the sweep is not finished, has no such method, or has no eligible solution.
     """
     scores, solutions = (read_final(sweep, name).to_pandas() for name in ("scores", "solutions"))
     where = str(sweep / "final" / "scores.parquet")
@@ -74,7 +74,7 @@ def choose_solutions(sweep: Location, choice: Choice) -> Chosen:
 
 
 def _eligible(rows: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, int]]:
-    """Rows that may be frozen, and the number of the others by reason."""
+    """Return the rows that may be frozen, and the number of other rows by reason."""
     left_out: dict[str, int] = {}
     for reason, keeps in (
         ("without a score", rows["score"].notna()),
@@ -83,7 +83,7 @@ def _eligible(rows: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, int]]:
         ("in the way of other points", rows["overlap_ok"].ne(False)),  # null passes
         ("off the ground", rows["contact_ok"].ne(False)),
         ("unstable", rows["stable"].ne(False)),
-        # The vehicle's own shape is what it is, however far it lies from the reference set.
+        # The vehicle's original shape passes, however far it is from the reference set.
         ("unnatural", rows["natural"].ne(False) | (rows["mode"] == "pose") | (rows["method"] == "baseline")),
     ):
         keeps = keeps[rows.index]

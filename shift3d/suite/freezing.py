@@ -1,4 +1,4 @@
-"""Freezes solutions of a finished sweep: each is rendered again, scored again, and stored with its scene."""
+"""Freezing of a finished sweep's solutions: each is rendered and scored again, and stored with its scene."""
 
 from __future__ import annotations
 
@@ -38,19 +38,15 @@ if TYPE_CHECKING:
     from shift3d.task.spec import TaskSpec
 
 Frames = Literal["copied", "referenced"]
-_SCENE = "unfinished-"
-"""Begins the names of files that hold the objects of one scene until the suite is whole."""
-_UNFINISHED = {"objects.parquet", "scores.parquet", "backgrounds"}
-"""What else a killed freezing leaves."""
-_LEFT_OUT = "left_out"
-"""Role of an object with another score than the sweep's, in files of single scenes alone."""
+_SCENE = "unfinished-"  # name prefix of temporary files, each with the objects of one scene
+_UNFINISHED = {"objects.parquet", "scores.parquet", "backgrounds"}  # other files that a killed freezing leaves
+_LEFT_OUT = "left_out"  # role in temporary files of an object whose score differs from the sweep's
 
 
 @dataclass(frozen=True)
 class Frozen:
-    """What came of it. left_out: solutions by reason. unverified: hard objects that no verification has looked at.
-    largest_difference: between a score of the sweep and the same one of the frozen object; None: none was scored again.
-    """
+    """Result of a freezing. left_out: number of solutions by reason. unverified: number of hard objects never verified.
+    largest_difference: between a score of the sweep and the frozen object's; None: no object was scored again."""
 
     suite: FrozenSuite
     left_out: Mapping[str, int]
@@ -60,8 +56,7 @@ class Frozen:
 
 @dataclass
 class _Writing:
-    """A suite on its way into its folder. key: of the sweep and the choice. digests: of its files. sets: settings of
-    scene sets, as they are met."""
+    """Suite being written. key: digest of sweep, choice and frames. digests: of its files. sets: scene sets in use."""
 
     to: Location
     frames: Frames
@@ -74,11 +69,11 @@ class _Writing:
         self.digests[name] = blake2b(content)
 
     def scene_file(self, name: str) -> Location:
-        """Where the objects of a scene lie until all are there."""
+        """Return the temporary file for the objects of one scene; it is deleted when the suite is complete."""
         return self.to / f"{_SCENE}{blake2b(f'{self.key} {name}'.encode())}.parquet"
 
     def background(self, points: NDArray[np.float32]) -> str:
-        """The digest of a scene's points, which are written where they are not there yet."""
+        """Write a scene's points unless the suite has them. Returns their digest."""
         name = blake2b(np.ascontiguousarray(points, dtype="<f4").tobytes())
         if self.frames == "copied" and background_file(name) not in self.digests:
             columns = [points[:, axis] for axis in range(3)]
@@ -87,7 +82,7 @@ class _Writing:
         return name
 
     def scene_set(self, settings: Mapping[str, Any]) -> int:
-        """Which of the scene sets these settings are. A suite with its own copies says nothing of where frames lie."""
+        """Return the index of a scene set's settings; 0 with copied frames, which need no location of a data set."""
         if self.frames == "copied":
             return 0
         if dict(settings) not in self.sets:
@@ -98,15 +93,11 @@ class _Writing:
 def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: Frames = "copied") -> Frozen:
     """Freeze hard objects of a finished sweep, and their controls, into a folder or bucket.
 
-    The same sweep and choice give the same bytes, killed and resumed. ``suite.json`` is written last: a folder without
-    it is no suite, and the same call goes on scene by scene; with it, nothing is written again.
-
-    Args: frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate
-    then needs the data set, or generates the streets again, and the suite holds nothing of recorded frames but the
-    points that an object moved.
-
-    Raises: InputError: see `choose_solutions`; another suite or something else in the folder; a scene, vehicle or
-    detector that is not the sweep's any more.
+    The same sweep and choice give the same bytes, even if killed and resumed. ``suite.json`` is written last: without
+    it the same call resumes scene by scene, with it nothing is written.
+    frames: "copied" stores the scenes' points. "referenced" stores their origin, and of recorded frames only the points
+    that an object moved: the gate then needs the data set, or generates the streets again.
+    Raises: InputError as `choose_solutions`; other content in `to`; a scene, vehicle or detector not the sweep's.
     Source: our choice: the paper has no gate.
     """
     sweep, to = as_location(sweep), as_location(to)
@@ -142,12 +133,11 @@ def _forget_scenes(to: Location) -> None:
 
 
 def number_of_scenes(objects: Iterable[Mapping[str, Any]]) -> int:
-    """How many independent scenes objects stand in, as a gate counts them: a street seen by two sensors is one."""
+    """Count the independent scenes of objects, as a gate does: a street seen by two sensors counts once."""
     return len({place_of(row["dataset"], row["scene"]) for row in objects})
 
 
 def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]], writing: _Writing) -> dict[str, Any]:
-    """suite.json without its digest."""
     return {
         "version": SUITE_VERSION,
         "shift3d": shift3d.__version__,
@@ -166,15 +156,14 @@ def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]]
 def _objects(
     plan: Plan, chosen: Chosen, writing: _Writing
 ) -> tuple[list[dict[str, Any]], dict[str, int], float | None]:
-    """Rows of ``objects.parquet``, scene by scene, a control before what was made of it; what was left out; the
-    largest difference of scores, None where every scene was there already."""
+    """Return rows of ``objects.parquet``, scene by scene, a control before its hard objects; the number left out by
+    reason; the largest difference of scores, None if every scene was read from its temporary file."""
     known = chosen.scores[chosen.scores["scored_by"] == chosen.scores["detector"]]
     keys = zip(known["task_id"], known["method"], known["replicate"], strict=True)
     freezing = _Freezing(plan, writing, dict(zip(keys, known["score"], strict=True)), chosen.controls)
     objects: dict[str, dict[str, Any]] = {}
     left_out: Counter[str] = Counter()
-    # Scene by scene, so that each is loaded once.
-    scenes = chosen.hard.groupby(["dataset", "scene"], sort=True)
+    scenes = chosen.hard.groupby(["dataset", "scene"], sort=True)  # so that each scene is loaded once
     with progress_bar(total=len(chosen.hard), desc="freezing", unit="object") as progress:
         for (dataset, scene), hard in scenes:
             for row in freezing.scene(f"{dataset}/{scene}", hard):
@@ -188,8 +177,8 @@ def _objects(
 
 @dataclass
 class _Freezing:
-    """Freezes scene after scene. reported: scores by task, method and replicate. largest: difference from these. held:
-    assets by their number in the plan. seen: rows and scores of controls, which several tasks of a scene share."""
+    """Freezing, scene by scene. reported: scores by task, method and replicate. largest: difference from these. held:
+    assets by index in the plan. seen: rows and scores of controls, which several tasks of a scene share."""
 
     plan: Plan
     writing: _Writing
@@ -200,7 +189,7 @@ class _Freezing:
     seen: dict[tuple[object, ...], tuple[dict[str, Any], float]] = field(default_factory=dict)
 
     def scene(self, name: str, hard: pd.DataFrame) -> list[dict[str, Any]]:
-        """Rows of the objects of one scene: from its file where there is one, which is written otherwise."""
+        """Return the rows of one scene's objects, from its temporary file if there is one; else write that file."""
         file = self.writing.scene_file(name)
         rows: list[dict[str, Any]] = read_suite_table(file, "objects").to_pylist() if file.is_file() else []
         if rows and all(self._register(row) for row in rows):
@@ -210,7 +199,7 @@ class _Freezing:
         return rows
 
     def _register(self, row: Mapping[str, Any]) -> bool:
-        """Note what a row of an earlier run refers to, its scene set and its background; whether both are there."""
+        """Register a stored row's scene set and background. Returns True if the background is in the suite."""
         (task,) = self.plan.tasks.starting_with(row["task_id"])
         self.writing.scene_set(self.plan.assets[task.assets].scenes)
         if self.writing.frames == "copied":
@@ -221,7 +210,7 @@ class _Freezing:
         return True
 
     def _pair(self, hard: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """A solution's control and its own row."""
+        """Return the rows of a solution's control and of the solution."""
         (task,) = self.plan.tasks.starting_with(hard["task_id"])
         if task.assets not in self.held:
             self.held[task.assets] = load_assets(self.plan.assets[task.assets])
@@ -238,7 +227,7 @@ class _Freezing:
         return rows
 
     def _object(self, task: PlannedTask, solution: Mapping[str, Any], shared: bool) -> tuple[dict[str, Any], float]:
-        """See `_object`. shared: the object of another task that has the same baseline, to the bit, is this one's."""
+        """Call `_object`. shared: reuse the row of another task whose baseline is equal bit for bit."""
         if not shared:
             return _object(task.spec, solution, self.held[task.assets], self.writing)
         shape, pose = np.asarray(solution["latent_code"]).tobytes(), tuple(solution[name] for name in POSE_COLUMNS)
@@ -252,7 +241,7 @@ class _Freezing:
 def _object(
     spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, writing: _Writing
 ) -> tuple[dict[str, Any], float]:
-    """A solution's row without its role, and what the attacked detector makes of it."""
+    """Return a solution's row without its role, and the attacked detector's score."""
     found = render_solution(spec, solution, assets)
     problem, theta, rendering, scene = found.problem, found.theta, found.rendering, assets.scene(spec)[0]
     box, radius_m = object_box(theta, problem.vehicle.size_m, problem.ground_z_m), spec.attack.detection_radius_m
@@ -285,8 +274,7 @@ def _object(
 
 
 def _changes(scene: Scene, points: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Rows (K,) of the scene's points that are others, to the bit; and new points (K + more, 3): theirs, and those that
-    follow the scene's."""
+    """Return rows (K,) of scene points that differ bit for bit; new points (K + more, 3): changed, then appended."""
     count = len(scene.points)
     now, before = (np.ascontiguousarray(part).view(np.int32) for part in (points[:count], scene.points))
     rows = np.flatnonzero((now != before).any(axis=1)).astype(np.int32)
@@ -294,7 +282,7 @@ def _changes(scene: Scene, points: NDArray[np.float32]) -> tuple[NDArray[np.int3
 
 
 def _sweep_scores(plan: Plan, scores: pd.DataFrame, objects: list[dict[str, Any]]) -> pa.Table:
-    """What every detector of the sweep made of the objects: the release that the first gate compares with."""
+    """Return every sweep detector's scores of the objects: the release that the first gate compares with."""
     ids = dict.fromkeys(row["task_id"] for row in objects)
     weights = {name: plan.tasks.starting_with(name)[0].spec.detector_hashes for name in ids}
     by_key = dict(iter(scores.groupby(["task_id", "method", "replicate"])))

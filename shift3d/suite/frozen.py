@@ -1,9 +1,9 @@
-"""A suite as it lies in a folder or bucket: its manifest, its objects, and the scene of each as detectors see it.
+"""Suite in a folder or bucket: its manifest, its objects, and the scene of each object as detectors see it.
 
-DIR/suite.json                what was frozen and how, every file with its digest, and the digest of all of it
+DIR/suite.json                the selection, the digest of every file, and the digest of the whole suite
 DIR/objects.parquet           the objects: box, pose, latent code, and the points that they change
-DIR/scores.parquet            what the sweep's detectors made of them
-DIR/backgrounds/HASH.parquet  a scene without the object, once for all of its objects (frames=copied)
+DIR/scores.parquet            scores of the objects by the sweep's detectors
+DIR/backgrounds/HASH.parquet  a scene without the object, stored once for all of its objects (frames=copied)
 DIR/releases/00000001.parquet the scores of accepted releases; no part of the digest
 """
 
@@ -30,22 +30,21 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
 _CHANGED = "Restore it from a copy, or freeze the suite again: scores on other objects cannot be compared"
-BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
-"""Columns of an object's box, scene frame."""
+BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")  # columns of an object's box, scene frame
 
 
 def blake2b(content: bytes) -> str:
-    """128-bit BLAKE2b, hex."""
+    """Compute the 128-bit BLAKE2b digest, hex."""
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
 def background_file(background: str) -> str:
-    """Where a background lies in its suite."""
+    """Return the path of a background inside its suite."""
     return f"backgrounds/{background}.parquet"
 
 
 def manifest_bytes(manifest: Mapping[str, Any]) -> bytes:
-    """suite.json: the manifest with its digest, which every file's digest goes into."""
+    """Serialize suite.json: the manifest with its digest, which covers the digests of all files."""
     plain = {key: value for key, value in manifest.items() if key != "digest"}
     canonical = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return (json.dumps({**plain, "digest": blake2b(canonical.encode())}, indent=1, sort_keys=True) + "\n").encode()
@@ -53,10 +52,10 @@ def manifest_bytes(manifest: Mapping[str, Any]) -> bytes:
 
 @dataclass
 class FrozenSuite:
-    """A suite whose bytes are those that were frozen.
+    """Suite whose bytes equal the frozen ones.
 
-    manifest: suite.json. objects: a row an object, in the suite's order. root: of referenced frames, where they lie
-    elsewhere than when the suite was frozen.
+    manifest: suite.json. objects: one row per object, in the suite's order. root: folder of referenced frames, if they
+    were elsewhere when the suite was frozen.
     """
 
     folder: Location
@@ -67,13 +66,13 @@ class FrozenSuite:
 
     @property
     def digest(self) -> str:
-        """Of everything that is scored."""
+        """Digest of everything that is scored."""
         return str(self.manifest["digest"])
 
     def background(self, name: str) -> NDArray[np.float32]:
-        """Points (N, 3) of a scene without the object, scene frame, metres.
+        """Return points (N, 3) of a scene without the object, scene frame, metres.
 
-        Raises: InputError: the file or frame is missing, or not what was frozen.
+        Raises: InputError: the file or frame is missing, or differs from the frozen one.
         """
         if self.manifest["frames"] == "copied":
             file = self.folder / background_file(name)
@@ -90,13 +89,13 @@ class FrozenSuite:
     def _frames(self, number: int) -> SceneSet:
         if number not in self._sets:
             values = dict(self.manifest["scene_sets"][number])
-            if "root" in values:  # whichever frames the sweep was limited to
+            if "root" in values:  # the sweep may have been limited to fewer frames
                 values |= {"root": self.root or values["root"], "count": None}
             self._sets[number] = scene_set(scene_config(values))
         return self._sets[number]
 
     def points_of(self, row: Mapping[str, Any], background: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The scene (M, 3) with an object in it, from the object's row and its background."""
+        """Build the scene (M, 3) with an object in it, from the object's row and its background."""
         new = np.asarray(row["points"], dtype=np.float32).reshape(-1, 3)
         rows = np.asarray(row["rows"], dtype=np.int64)
         points = background.copy()
@@ -105,16 +104,14 @@ class FrozenSuite:
 
 
 def box_of(row: Mapping[str, Any]) -> NDArray[np.float64]:
-    """The object's box (7,), network frame: z measured from the ground."""
+    """Return the object's box (7,) in the network frame: z measured from the ground."""
     box = np.array([float(row[name]) for name in BOX])
     box[2] -= float(row["ground_z_m"])
     return box
 
 
 def read_suite(folder: LocationLike, root: str | None = None) -> FrozenSuite:
-    """The suite of a folder or bucket. Every file's bytes are compared with its digest.
-
-    root: of referenced frames, see `FrozenSuite`.
+    """Read the suite of a folder or bucket, and compare every file's bytes with its digest. root: see `FrozenSuite`.
 
     Raises: InputError: no suite, one of another version, or a file that is missing or changed; the file is named.
     """
@@ -133,7 +130,7 @@ def read_suite(folder: LocationLike, root: str | None = None) -> FrozenSuite:
 
 
 def read_manifest(path: Location) -> dict[str, Any]:
-    """suite.json. Raises InputError: there is none, or it has another format."""
+    """Read suite.json. Raises InputError: it is missing, or has another format."""
     try:
         manifest = json.loads(path.read_bytes())
     except FileNotFoundError as error:
@@ -150,7 +147,7 @@ def read_manifest(path: Location) -> dict[str, Any]:
 
 
 def _checked(file: Location, digest: str) -> bytes:
-    """A file's bytes. Raises InputError: it is missing, or its bytes are others."""
+    """Return a file's bytes. Raises InputError: the file is missing, or its bytes have changed."""
     try:
         content = file.read_bytes()
     except FileNotFoundError as error:

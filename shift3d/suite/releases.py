@@ -1,4 +1,4 @@
-"""What earlier weights scored on a suite: the sweep's own detectors, and every release that was accepted."""
+"""Earlier scores of a suite: of the sweep's own detectors, and of every accepted release."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NAME = re.compile(r"(\d{8})\.parquet")
 
 @dataclass(frozen=True)
 class Release:
-    """Scores by object_id, and whose they are. number: of its file; 0: the sweep's own detectors."""
+    """Scores by object_id of a detector and its weights. number: of its file; 0: the sweep's own detectors."""
 
     number: int
     detector: str
@@ -29,22 +29,21 @@ class Release:
 
     @property
     def name(self) -> str:
-        """For the reader."""
+        """Name to display."""
         return f"release {self.number}" if self.number else "the weights of the sweep"
 
 
 def last_release(
     suite: FrozenSuite, folder: Location, detector: str, number: int | None = None, but: str = ""
 ) -> Release | None:
-    """The last accepted release of a detector, or the one of a number; else what the sweep's own weights scored; None:
-    the detector has never scored all of these objects, or several of its weights have.
+    """Return a detector's last accepted release, or the one of a number; else the scores of the sweep's own weights.
 
-    What states a kind without a name, as the sweep's scores do, is the detector's where no other of the kind has
-    releases.
+    Returns None if the detector has never scored all of these objects, or several of its weights have. Scores that
+    state a kind without a name, as the sweep's do, are the detector's if no other detector of the kind has releases.
 
     Args:
-        detector: its kind, such as "pointpillars"; "KIND:NAME" where detectors of one kind are told apart.
-        but: digest of weights whose releases are passed over.
+        detector: its kind, such as "pointpillars", or "KIND:NAME" to distinguish detectors of one kind.
+        but: digest of weights whose releases are skipped.
     Raises: InputError: no release of that number and detector, or a file that is damaged or another suite's.
     """
     kind = _kind(detector)
@@ -58,14 +57,15 @@ def last_release(
         raise InputError(f"there is no release {number} of {detector}", str(folder), "Leave against= out for the last")
     table = read_suite_table(suite.folder / "scores.parquet", "scores").to_pandas()
     own = table[table["detector"] == (kind if alone else detector)]
-    # What only some objects were scored by, or several weights have scored, is no release.
+    # Scores of only some objects, or of several weights, are no release.
     whole = set(suite.objects["object_id"]) <= set(own["object_id"]) and own["weights"].nunique() == 1
     return _release(own, 0) if whole else None
 
 
 def refuse_unknown_name(suite: FrozenSuite, folder: Location, detector: str) -> None:
-    """Refuse a name that nobody gave where others of its kind have releases and it has none: it would be the first of
-    its own, compared with nothing. detector: see `last_release`. Raises: InputError naming the others.
+    """Refuse a name without releases if other names of its kind have some: it would be compared with nothing.
+
+    detector: see `last_release`. Raises: InputError naming the others.
     """
     kind, _, name = detector.partition(":")
     named = {release.detector for release in _releases(suite, folder, kind)} - {kind}
@@ -78,7 +78,7 @@ def refuse_unknown_name(suite: FrozenSuite, folder: Location, detector: str) -> 
 def accept_release(
     suite: FrozenSuite, folder: Location, detector: str, weights: str, scores: Mapping[str, float]
 ) -> int:
-    """Put scores into the history as the next release; its number. The last release once more is not put in again.
+    """Add scores to the history as the next release. Returns its number. A repeated last release is not added again.
 
     detector: see `last_release`. weights: their digest.
     Raises: InputError: another gate was quicker, or the folder cannot be written to.
@@ -101,7 +101,7 @@ def _kind(detector: str) -> str:
 
 
 def _releases(suite: FrozenSuite, folder: Location, kind: str) -> list[Release]:
-    """Accepted releases of detectors of a kind, newest first."""
+    """Return the accepted releases of detectors of a kind, newest first."""
     names = sorted(filter(_NAME.fullmatch, folder.names()), reverse=True)
     found = [_read(suite, folder / name, int(name[:8])) for name in names]
     return [release for release in found if _kind(release.detector) == kind]

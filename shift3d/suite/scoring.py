@@ -1,4 +1,4 @@
-"""Scores a suite's objects with a detector: background by background, each one's answers kept in a file."""
+"""Scoring of a suite's objects with a detector, background by background; results are kept in one file each."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from shift3d.training.processes import each
 
 @dataclass
 class Scorer:
-    """A detector by name. weights: a file, None: those that ship. module: Python file of the user's own. layout: of one
-    of another codebase, see `detectors.foreign.layout`.
+    """Detector by name. weights: a file, None for the shipped ones. module: Python file of the user's own detector.
+    layout: of a detector of another codebase, see `detectors.foreign.layout`.
 
-    Raises: InputError, where it is asked for its weights or to score, for files that are missing or do not fit.
+    Raises: InputError, when weights or scores are requested, for files that are missing or do not fit.
     """
 
     name: str
@@ -35,16 +35,16 @@ class Scorer:
     _opened: dict[str, Detector] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What goes to another process: nothing that was opened here."""
+        """Return the state for another process, without opened detectors."""
         return {**vars(self), "_opened": {}}
 
     @property
     def digest(self) -> str:
-        """128-bit BLAKE2b of its files, hex."""
+        """128-bit BLAKE2b of the detector's files, hex."""
         return detector_hash(self.name, self.weights, self.module, self.layout)
 
     def at(self, precision: str) -> Detector:
-        """The detector with its arithmetic in a precision."""
+        """Return the detector with its arithmetic in a precision."""
         if precision not in self._opened:
             made_of = self.weights, self.module, precision, self.layout
             self._opened[precision] = detector_of(self.name, *made_of)  # type: ignore[arg-type]
@@ -52,16 +52,14 @@ class Scorer:
 
 
 def score_suite(suite: FrozenSuite, scorer: Scorer, folder: Location, workers: int = 1) -> Iterator[pd.DataFrame]:
-    """Score every object; a table of object_id and score for each background, in the suite's order.
+    """Score every object; yield a table of object_id and score for each background, in the suite's order.
 
-    What lies in ``folder`` is taken from there, the rest is scored and put there, so that a killed run goes on where it
-    stopped. The bytes are the same for any number of workers: each is a process on one thread.
+    Results in ``folder`` are reused and new results are stored there, so that a killed run resumes. The bytes are the
+    same for any number of workers: each is a process on one thread.
 
     Args:
-        folder: of this suite's and this detector's answers alone.
-        workers: processes.
-
-    Raises: InputError: a scene or a file of answers that is missing or damaged, or the disk is full.
+        folder: for results of this suite and this detector only. workers: number of processes.
+    Raises: InputError: a scene or a file of results that is missing or damaged, or the disk is full.
     """
     names = list(dict.fromkeys(suite.objects["background"]))
     files = {name: folder / f"{name}.parquet" for name in names}

@@ -1,4 +1,4 @@
-"""Arrow schemas of a suite, of its releases and of a gate's result, and how they are written and read."""
+"""Arrow schemas of a suite, of its releases and of a gate's result; functions to write and read them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import schema_of_columns
 from shift3d.store.tables import check_table, parquet_bytes, read_parquet
 
-SUITE_VERSION = 1
-"""Of the suite's files. A suite of another version is refused."""
+SUITE_VERSION = 1  # of the suite's files; a suite of another version is refused
 
-# object_id: 128-bit BLAKE2b of what is scored. role: hard, or control: the unchanged vehicle of the same task.
+# object_id: 128-bit BLAKE2b of the scored data. role: hard, or control: the unchanged vehicle of the same task.
 _OBJECT = "object_id role"
 _FROM = "task_id method vehicle scene dataset mode"
 _BOX = "x_m y_m z_m dx_m dy_m dz_m heading_rad pitch_rad roll_rad"
 _COLUMNS = {
-    # A row an object. control: object_id of a hard object's control. vehicle: that it was drawn as, which a search over
-    # kinds chooses. background: of the scene's points. frames: which of the manifest's scene sets, where frames are
-    # referenced. The scene as detectors see it: the background's points, those of ``rows`` replaced by the first of
-    # ``points`` (x, y, z after one another), the rest of these appended. hits: rows on the object. Box: scene frame,
-    # geometric centre. radius_m: how near a box lies that detects it. precision: of the detector that scores.
+    # One row per object. control: object_id of a hard object's control. vehicle: the drawn one, which a search over
+    # kinds chooses. background: digest of the scene's points. frames: index into the manifest's scene sets, for
+    # referenced frames. The scene as detectors see it: the background with its ``rows`` replaced by the first of
+    # ``points`` (x, y, z in turn), and the other ``points`` appended. hits: rows on the object. Box: scene frame,
+    # geometric centre. radius_m: largest distance of a detecting box. precision: of the detector that scores.
     "objects": (
         f"{_OBJECT} control? {_FROM} replicate:int32 background scene_hash frames:int32 effects:list-of-string "
         f"ground_z_m {_BOX} radius_m precision object_points "
@@ -46,17 +45,17 @@ SUITE_SCHEMAS: dict[str, pa.Schema] = {
 
 
 def suite_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Rows of plain values as a table of a suite's schema."""
+    """Convert rows of plain values to a table of a suite's schema."""
     return pa.Table.from_pylist([dict(row) for row in rows], schema=SUITE_SCHEMAS[name])
 
 
 def suite_table_bytes(table: pa.Table) -> bytes:
-    """The Parquet file of a table: coordinates with their bytes apart, which compresses them to two thirds."""
+    """Serialize a table as Parquet; splitting the bytes of coordinates compresses them to two thirds."""
     floats = [field.name for field in table.schema if pa.types.is_float32(field.type)]
     split = dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
     if "points" in table.column_names:
         split["points.list.element"] = "BYTE_STREAM_SPLIT"
-    # Coordinates repeat too seldom for a dictionary.
+    # Coordinates rarely repeat: a dictionary would not pay.
     options: dict[str, Any] = {"column_encoding": split, "use_dictionary": False} if split else {}
     return parquet_bytes(table.combine_chunks(), compression_level=9, **options)
 
@@ -67,7 +66,7 @@ def read_suite_table(
     content: bytes | None = None,
     remedy: str = "Restore it from a copy, or freeze the suite again",
 ) -> pa.Table:
-    """Read one of the files. content: its bytes, where the caller has them. remedy: what to do with a damaged one.
+    """Read one of the files. content: its bytes, if the caller has them. remedy: advice for a damaged file.
 
     Raises: InputError: the file is missing, torn, or of another schema or version.
     """

@@ -1,1 +1,1 @@
-"""Training recipes: each is one function that can stop, resume, and give the same weights again."""
+"""Training of the shape model and of the detectors; an interrupted training resumes to the same weights."""

@@ -1,4 +1,4 @@
-"""Checkpoints of a training: written whole or not at all, read back as tensors only."""
+"""Training checkpoints: files written atomically, and read as tensors and plain values only."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from shift3d.store.atomic import write_atomic
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Save nested dicts, lists, numbers, strings and tensors to `path`. Raises: InputError, see `write_atomic`."""
+    """Write nested dicts, lists, numbers, strings and tensors to `path`. Raises: InputError, see `write_atomic`."""
     content = io.BytesIO()
     torch.save(state, content)
     write_atomic(path, content.getvalue())
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """The checkpoint at `path`.
+    """Read the checkpoint at `path`.
 
-    Raises: InputError naming the file when there is none, or it cannot be read as tensors and plain values.
+    Raises: InputError naming the file if it is missing, or cannot be read as tensors and plain values.
     """
     if not path.is_file():
         raise InputError("no such checkpoint", where=str(path), remedy="Train first")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
+    except Exception as error:  # a damaged pickle can raise any exception type
         raise InputError("not a readable checkpoint", where=str(path), remedy="Delete it to start over") from error
     if not isinstance(state, dict):
         raise InputError("not a checkpoint of a training", where=str(path), remedy="Delete it to start over")

@@ -1,4 +1,4 @@
-"""What ``shift3d train`` and ``shift3d evaluate model=sdf`` do."""
+"""Commands ``shift3d train`` and ``shift3d evaluate model=sdf``."""
 
 from __future__ import annotations
 
@@ -28,13 +28,12 @@ WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """What `shift3d train` was given beside the model.
+    """Options of `shift3d train` beside the model.
 
-    out: holds samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda.
-    scenes: "street" or "kitti"; root: of KITTI; count: scenes, None for the recipe's (street) or every frame (kitti).
-    steps, inserted (scenes with inserted vehicles): None for the recipe's.
-    start_from: a weights file to start from, "shipped", or "random": no weights, where the recipe has some to start
-    from. recipe: fields of the recipe, as words.
+    out: folder for samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda. scenes:
+    "street" or "kitti". root: folder of KITTI. count: number of scenes; None for the recipe's (street) or every frame
+    (kitti). steps, inserted (number of scenes with inserted vehicles): None for the recipe's. start_from: a weights
+    file, "shipped", or "random" for random weights even if the recipe names a start. recipe: fields as text.
     """
 
     out: Path
@@ -50,32 +49,32 @@ class TrainOptions:
 
     @property
     def shipped(self) -> bool:
-        """Whether this is the recipe of the shipped weights, on its scenes: only then are they written over."""
+        """True if recipe and scenes are those of the shipped weights, which no other training overwrites."""
         own = (self.count, self.steps, self.inserted, self.start_from)
         return self.scenes == "street" and not self.recipe and all(value is None for value in own)
 
     def compute(self) -> Compute:
-        """Device and threads. Raises: InputError for a device that is not there."""
+        """Return device and threads. Raises: InputError for a device that this machine does not have."""
         from shift3d.training.compute import choose_compute
 
         return choose_compute(self.device, self.threads or usable_cpus())
 
 
 def train(model: str, options: TrainOptions, report: Report | None = None) -> Path:
-    """Train a model, or go on where an interrupted training stopped; returns the finished weights.
+    """Train a model, or resume an interrupted training. Returns the path of the finished weights.
 
-    The recipe of the shipped weights, from nothing but this package, goes to ``shift3d/weights``; anything else, and
-    so everything that real frames went into, to ``options.out``.
+    The recipe of the shipped weights, which needs nothing but this package, writes to ``shift3d/weights``. Every other
+    training, and so every training on real frames, writes to ``options.out``.
 
     Args:
-        model: one of MODELS. Detectors see meshes of the wide family's seen kinds, nothing that the decoder made.
-        report: is given the curves' points after every checkpoint.
+        model: one of MODELS. Detectors train on meshes of the wide family's seen kinds; the decoder makes none of them.
+        report: called with the curves' points after every checkpoint.
 
-    Raises InputError: unknown model, or an option that is not for it; a checkpoint of another recipe in ``out``.
+    Raises InputError: unknown model; an option that the model does not take; a checkpoint of another recipe in ``out``.
     """
     if model not in MODELS:
         raise InputError(f"unknown model {model!r}", "model=", f"Choose from {', '.join(MODELS)}")
-    if options.shipped:  # the recipe as it ships replaces the weights of this installation: known before it trains
+    if options.shipped:  # will replace the installed weights: check write access first
         check_writable(WEIGHTS_FOLDER, "steps=N out=DIR")
     if model == "sdf":
         if not options.shipped:
@@ -86,9 +85,9 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
 
 
 def detector_recipe(name: str, options: TrainOptions) -> Recipe:
-    """The recipe with the given numbers of steps and scenes, a fifth of the learning rate for adapting weights, and the
-    fields that were given.
+    """Build the recipe of a detector from the options.
 
+    The options replace steps, scene numbers and fields. A start from given weights takes a fifth of the peak rate.
     Raises: InputError for an unknown field, or a value that a recipe cannot have.
     """
     from shift3d.training.detector.recipes import RECIPES, changed, scaled_to_steps
@@ -101,7 +100,7 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
     if options.start_from == RANDOM:
         recipe = replace(recipe, grown_from="", backbone_from="")
     elif options.start_from is not None:
-        # A peak as high as from random weights would undo the start (our choice).
+        # The peak rate that suits random weights would undo the given start (our choice).
         recipe = replace(recipe, peak_rate=ADAPTING_SHARE * recipe.peak_rate)
     if options.inserted is not None:
         recipe = replace(recipe, inserted_scenes=options.inserted)
@@ -109,9 +108,9 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
 
 
 def evaluate(model: str) -> int:
-    """Print how good the shipped shape model is: Chamfer distance to vehicles it was trained on and to unseen ones.
+    """Print the Chamfer distance of the shipped shape model to vehicles of its training and to unseen vehicles.
 
-    Detectors have :func:`shift3d.analysis.detector_evaluation.evaluate_detector`.
+    For detectors see :func:`shift3d.analysis.detector_evaluation.evaluate_detector`.
 
     Raises InputError: another model, or missing weights.
     """
@@ -165,7 +164,7 @@ def _train_detector(name: str, options: TrainOptions, report: Report | None) -> 
 
 
 def _scene_set(options: TrainOptions) -> SceneSet | None:
-    """The scenes to train on, None for the recipe's own streets."""
+    """Return the scenes to train on; None for the recipe's own streets."""
     from shift3d.scenes.kitti.scenes import KittiScenes
 
     if options.scenes == "street":

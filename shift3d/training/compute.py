@@ -1,4 +1,4 @@
-"""Where a training computes, and with what arithmetic."""
+"""Device and arithmetic of a training."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ DEVICES = ("auto", "cpu", "cuda")
 
 @dataclass(frozen=True)
 class Compute:
-    """A device, and the threads of its arithmetic on the CPU.
+    """Device, and number of CPU threads.
 
-    On the CPU a training gives the same bytes again for the same threads; on CUDA sums may be taken in another order
-    from run to run. Tests of the CUDA path are skipped where there is no CUDA.
+    The same number of threads gives the same bytes on the CPU. On CUDA the order of sums may differ from run to run.
+    Tests of the CUDA path are skipped on machines without CUDA.
     """
 
     device: torch.device
@@ -28,32 +28,32 @@ class Compute:
 
     @property
     def name(self) -> str:
-        """ "cpu", or what CUDA calls the device."""
+        """Name of the device: "cpu", or the name that CUDA reports."""
         return torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "cpu"
 
     @property
     def fast_bfloat16(self) -> bool:
-        """Whether mixed precision pays: CUDA, or a processor that multiplies bfloat16 by itself."""
+        """True if mixed precision saves time: on CUDA, or on a processor with bfloat16 multiplication."""
         return self.device.type == "cuda" or has_fast_bfloat16()
 
     @property
     def scene_workers(self) -> int:
-        """Processes that make the scenes, before the network trains."""
+        """Number of processes that make the scenes before the network trains."""
         return self.threads if self.device.type == "cpu" else usable_cpus()
 
     @property
     def crop_workers(self) -> int:
-        """Processes that make crops while the network trains; 0: a thread keeps up, as on a CPU."""
+        """Number of processes that make crops while the network trains; 0 on a CPU, where one thread keeps up."""
         return 0 if self.device.type == "cpu" else max(1, usable_cpus() - 1)
 
     def autocast(self, wanted: bool) -> torch.autocast:
-        """bfloat16 for large products where it is wanted and pays."""
+        """Return a context that computes large products in bfloat16 if `wanted` and if bfloat16 saves time."""
         return torch.autocast(self.device.type, torch.bfloat16, enabled=wanted and self.fast_bfloat16)
 
     def prepare(self) -> None:
-        """Set torch's global switches: threads, deterministic kernels, and no subnormal numbers.
+        """Set torch's global switches: threads, deterministic kernels, and subnormal numbers flushed to zero.
 
-        Units that die leave subnormal weights, whose products are several times slower; flushing them changes bytes.
+        Dead units leave subnormal weights, whose products are several times slower. Flushing changes the results.
         """
         torch.set_num_threads(self.threads)
         torch.set_flush_denormal(True)
@@ -62,14 +62,14 @@ class Compute:
             torch.backends.cudnn.benchmark = False
 
     def facts(self, bfloat16: bool) -> dict[str, str | int | bool]:
-        """What of this changes bytes, for a provenance file."""
+        """Return the settings that change the resulting bytes, for a provenance file."""
         mixed = bfloat16 and self.fast_bfloat16
         return {"device": self.name, "threads": self.threads, "mixed_bfloat16": mixed, "flush_denormal": True}
 
 
 @contextmanager
 def subnormals_as_before() -> Iterator[None]:
-    """A training flushes subnormal numbers to zero: whatever computes afterwards has those again that it had."""
+    """Restore torch's handling of subnormal numbers afterwards: a training flushes them to zero."""
     kept = bool(torch.tensor([1e-310], dtype=torch.float64).mul(1.0).any())
     try:
         yield
@@ -77,14 +77,13 @@ def subnormals_as_before() -> Iterator[None]:
         torch.set_flush_denormal(not kept)
 
 
-ONE_THREAD = Compute(torch.device("cpu"))
-"""What trainings compute on where nothing else is given."""
+ONE_THREAD = Compute(torch.device("cpu"))  # the default of all trainings
 
 
 def choose_compute(device: Literal["auto", "cpu", "cuda"] | str = "auto", threads: int = 1) -> Compute:
-    """The device by name; auto is CUDA where there is one.
+    """Return the device of a name; auto selects CUDA if the machine has a CUDA device.
 
-    Raises: InputError for an unknown name, or cuda where there is none.
+    Raises: InputError for an unknown name, or for cuda without a CUDA device.
     """
     if device not in DEVICES:
         raise InputError(f"unknown device {device!r}", where="device=", remedy=f"Choose from {', '.join(DEVICES)}")

@@ -1,4 +1,4 @@
-"""Training scenes on disk: points in the network frame and vehicle boxes, one small .npz each."""
+"""Training scenes on disk: points and vehicle boxes in the network frame, one small .npz file per scene."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from shift3d.store.arrays import write_arrays
 from shift3d.store.user_cache import program_digest
 from shift3d.training.processes import each
 
-# What scenes are made by, those with an object of a sweep too.
+# Source code that makes the scenes, including scenes with an object of a sweep.
 _CODE = (
     *("scenes", "vehicles", "sdf", "geometry", "render", "effects", "task", "seeding.py", "processor.py"),
     *("training/detector_scenes.py", "training/inserted_vehicles.py"),
 )
 KEPT_RADIUS_M = 80.0
 EVERYWHERE_RAD = (0.0, float(np.pi))
-MARGIN_M = 0.1  # mirrors and antennas stand out of a box
+MARGIN_M = 0.1  # mirrors and antennas protrude from a box
 
 
 @dataclass(frozen=True)
 class TrainingScene:
-    """points: (N, 3) float32 and vehicle boxes (M, 7) float32, network frame (ground at 0), metres.
+    """Points (N, 3) and vehicle boxes (M, 7) of one scene, float32, network frame (ground at 0), metres.
 
-    sensor_height_m: the sensor sits at (0, 0, sensor_height_m).
+    sensor_height_m: the sensor is at (0, 0, sensor_height_m).
     """
 
     points: npt.NDArray[np.float32]
@@ -40,16 +40,16 @@ class TrainingScene:
 
 
 def network_points(scene: Scene) -> npt.NDArray[np.float32]:
-    """The scene's points in the detector's network frame: (N, 3) float32, z from the nominal ground."""
+    """Return the scene's points (N, 3) float32 in the detector's network frame: z from the nominal ground."""
     return scene.points - np.array((0.0, 0.0, scene.ground_z_m), dtype=np.float32)
 
 
 def from_scene(scene: Scene, sector_rad: tuple[float, float] = EVERYWHERE_RAD) -> TrainingScene:
-    """Keep what training needs: points with a beam within 80 m and the boxes of class vehicle.
+    """Keep the points that have a beam and |x|, |y| < 80 m, and the boxes of class vehicle.
 
-    sector_rad: (centre, half width) of the azimuths that have labels, as in `SceneSet.placement_sector_rad`. Where
-    there are none, a vehicle would be trained as background: all points outside go, but for those on vehicles whose
-    centre is inside, and so do vehicles whose centre is outside, with their points.
+    sector_rad: (centre, half width) of the labelled azimuths, as in `SceneSet.placement_sector_rad`. Unlabelled
+    vehicles would train as background: points outside are dropped, except on vehicles whose centre is inside, and
+    vehicles whose centre is outside are dropped with their points.
     """
     boxes = scene.labels.of_class("vehicle").astype(np.float32).reshape(-1, 7)
     boxes[:, 2] -= np.float32(scene.ground_z_m)
@@ -63,9 +63,9 @@ def cut_scene(
     sector_rad: tuple[float, float] = EVERYWHERE_RAD,
     last_stays: bool = False,
 ) -> TrainingScene:
-    """`from_scene` of points (N, 3) and vehicle boxes (M, 7) in the network frame; boxes keep their order.
+    """Apply `from_scene` to points (N, 3) and vehicle boxes (M, 7) in the network frame. Boxes keep their order.
 
-    last_stays: the last box is labelled wherever its centre lies.
+    last_stays: keep the last box even if its centre is outside the sector.
     """
     points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_RADIUS_M]
     if sector_rad[1] < np.pi:
@@ -98,10 +98,10 @@ def cache_scenes(
     title: str | None = None,
     workers: int = 1,
 ) -> list[Path]:
-    """Files of the named scenes in a folder `folder`-PROGRAM; those that are missing are built and written atomically.
+    """Return the cache files of the named scenes; build the missing scenes and write them atomically.
 
-    What another program built is built again.
-    title: of a progress bar. workers: processes that build, to the same bytes; for several, `build` must be picklable.
+    The cache folder is `folder`-DIGEST of the source code: a changed program builds its own scenes.
+    title: of a progress bar. workers: processes that build, to the same bytes; for several `build` must be picklable.
     """
     folder = folder.with_name(f"{folder.name}-{program_digest(*_CODE)[:16]}")
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
-"""Training scenes with more vehicles in them: meshes that the scene's own beams are cast at.
+"""Training scenes with additional vehicles: the scene's own beams are cast at inserted meshes.
 
-The meshes are of the wide family's seen kinds, each one another vehicle; none is made by the decoder, whose shapes are
-what attacks search among. A return moves onto a vehicle as the renderer moves it, without noise.
+Each mesh is another vehicle of the wide family's seen kinds, none from the decoder: attacks search among its shapes.
+Returns move onto a vehicle as in the renderer, without noise.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ Floats = npt.NDArray[np.floating]
 
 
 def with_inserted_vehicles(scene: TrainingScene, fleet: Fleet, rng: np.random.Generator) -> TrainingScene:
-    """The scene with two to four more vehicles, 8 to 60 m away, at any heading, clear of other things.
+    """Insert two to four vehicles 8 to 60 m away, at any heading, clear of other things.
 
-    Beams that meet a vehicle before their own return have their point on it.
+    A beam that meets a vehicle before its own return ends there. A vehicle without a free place is skipped.
     Source: our choice: the paper trains its detectors on recordings alone.
     """
     points, boxes = scene.points, scene.boxes
@@ -43,7 +43,7 @@ def with_inserted_vehicles(scene: TrainingScene, fleet: Fleet, rng: np.random.Ge
 def _cast(
     points: npt.NDArray[np.float32], origin: npt.NDArray[np.float64], vehicle: PoolVehicle, box: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float32]:
-    """The points (N, 3), those whose beams meet the vehicle nearer than their return moved onto it."""
+    """Return a copy of points (N, 3) where each beam that meets the vehicle before its return ends on the vehicle."""
     offset = points - origin
     range_m = np.linalg.norm(offset, axis=1)
     aims = offset / np.maximum(range_m, 1e-9)[:, None]
@@ -63,7 +63,7 @@ def _cast(
 def _free_place(
     points: Floats, boxes: Floats, size_m: npt.NDArray[np.float64], rng: np.random.Generator
 ) -> npt.NDArray[np.float64] | None:
-    """A box on the ground that touches no other and holds no point above the ground, or None."""
+    """Draw a box on the ground that touches no box and holds no point above the ground; None if all tries fail."""
     for _ in range(TRIES):
         distance, bearing, heading = (rng.uniform(8, 60), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi))
         x, y = distance * np.cos(bearing), distance * np.sin(bearing)
@@ -73,7 +73,7 @@ def _free_place(
             continue
         near = points[np.hypot(points[:, 0] - x, points[:, 1] - y) < reach + 1.0]
         if len(near) < GROUND_POINTS:
-            continue  # out of sight
+            continue  # the sensor does not see the ground there
         ground = float(np.percentile(near[:, 2], 10))
         box = np.array((x, y, ground + size_m[2] / 2, *size_m, heading))
         space = box.copy()

@@ -1,4 +1,4 @@
-"""Work that is the same whichever process does it, spread over several."""
+"""Parallel map over processes, for work whose result does not depend on the process."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Result = TypeVar("Result")
 def each(
     work: Callable[..., Result], items: Sequence[Any], workers: int, hold: Callable[[], Any] | None = None
 ) -> Iterator[Result]:
-    """work(item) of each item, in order, over processes if there are several, each with one thread.
+    """Yield work(item) of each item in order, in this process or in several `workers` with one thread each.
 
-    hold: called once in every process; work is then work(held, item). What goes to another process must be picklable.
-    What has not begun is left out on an error.
+    hold: called once in every process; work is then called as work(held, item). Data sent to other processes must be
+    picklable. After an error, items that have not started are cancelled.
     """
     workers = min(workers, len(items))
     if workers <= 1:
@@ -37,7 +37,7 @@ def each(
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
-    """So many threads for what is computed while this is open: the bits depend on it."""
+    """Set torch's number of threads while the context is open: results depend on the number bit for bit."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

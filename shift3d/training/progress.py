@@ -1,4 +1,4 @@
-"""How a training tells what it does: curves for whoever records them, and an end between two steps when asked."""
+"""Training progress: loss curves for a recorder, and a clean stop between two steps after a signal."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ from types import FrameType
 
 from shift3d.signals import stop_signals
 
-CURVE_POINTS = 30
-"""About how many points of a curve stand in a provenance."""
+CURVE_POINTS = 30  # largest number of points of a curve in a provenance file
 CurvePoint = tuple[int, Mapping[str, float]]
-"""A step (1 for the first), and values by name: parts of the loss, the learning rate."""
+"""Step (1 for the first), and values by name: parts of the loss, the learning rate."""
 Report = Callable[[Sequence[CurvePoint]], None]
-"""Called after every checkpoint with the points since the one before: what is reported never has to be taken back."""
+"""Called after every checkpoint with the points since the last checkpoint; reported points never change."""
 
 
 def mean_values(points: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Mean of each value of the last point over all of them."""
+    """Average each value of the last point over all points."""
     return {name: sum(point[name] for point in points) / len(points) for name in points[-1]}
 
 
 def averaged(curve: Sequence[CurvePoint], points: int) -> list[CurvePoint]:
-    """The curve by at most about so many points: means of stretches, each at its last step. A single point is noise."""
+    """Reduce the curve to at most `points` means of stretches, each at its last step. A single point is noise."""
     length = max(1, -(-len(curve) // max(1, points)))
     found: list[CurvePoint] = []
     for start in range(0, len(curve), length):
@@ -33,7 +32,7 @@ def averaged(curve: Sequence[CurvePoint], points: int) -> list[CurvePoint]:
 
 
 def curve_facts(curve: Sequence[CurvePoint]) -> list[dict[str, float]]:
-    """The curve for a provenance: at most about `CURVE_POINTS`, values to four digits."""
+    """Return the curve for a provenance file: at most `CURVE_POINTS` points, values to four digits."""
     return [
         {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}}
         for step, values in averaged(curve, CURVE_POINTS)
@@ -42,10 +41,10 @@ def curve_facts(curve: Sequence[CurvePoint]) -> list[dict[str, float]]:
 
 @contextlib.contextmanager
 def stop_on_signal() -> Iterator[threading.Event]:
-    """SIGINT and SIGTERM only set an event while this is open, so that a training can finish its step and save. Asked
-    twice, it ends at once, without a last checkpoint.
+    """Yield an event that SIGINT and SIGTERM set, so that a training can finish its step and save.
 
-    In a thread other than the main one signals stay as they are, and nothing is ever asked.
+    A second signal raises KeyboardInterrupt at once, without a last checkpoint. Only the main thread takes signals: in
+    another thread the event is never set.
     """
     requested = threading.Event()
 

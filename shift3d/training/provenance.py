@@ -1,4 +1,4 @@
-"""What stands beside trained weights: how they came about, in words that another run can follow."""
+"""Provenance file beside trained weights: the facts that another run needs to repeat the training."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shift3d.store.atomic import write_atomic
 
 
 def versions() -> dict[str, str]:
-    """Versions of what computes."""
+    """Return the versions of shift3d, Python, torch and numpy."""
     return {
         "shift3d": __version__,
         "python": platform.python_version(),
@@ -28,7 +28,7 @@ def versions() -> dict[str, str]:
 
 
 def write_provenance(weights_file: Path, facts: Mapping[str, Any]) -> None:
-    """Write facts and versions as JSON beside a weights file, in one step.
+    """Write facts and versions atomically as JSON beside a weights file.
 
     Raises: InputError when the disk is full or not writable.
     """
@@ -37,9 +37,9 @@ def write_provenance(weights_file: Path, facts: Mapping[str, Any]) -> None:
 
 
 def read_provenance(weights_file: Path) -> dict[str, Any] | None:
-    """The facts that stand beside a weights file, or None where there are none.
+    """Read the facts beside a weights file; None if there is no provenance file.
 
-    Raises: InputError naming a provenance that cannot be read.
+    Raises: InputError naming a provenance file that cannot be read.
     """
     file = weights_file.with_suffix(".json")
     if not file.is_file():
@@ -55,11 +55,10 @@ def read_provenance(weights_file: Path) -> dict[str, Any] | None:
 
 
 def shared_scenes(seen: Collection[tuple[str, str, str]], measured: Collection[tuple[str, str, str]]) -> list[str]:
-    """Names of the measured scenes that are seen ones: by their data set and name, by their content, or of the same
-    street.
+    """Return the measured scenes' names that agree with a seen scene in data set and name, in content, or in street.
 
-    Scenes: data set, name and content hash. Where the data set of a seen one is empty, its name alone counts; an empty
-    hash is not known. A street in other weather is the same street.
+    Scenes: data set, name and content hash. A seen scene with an empty data set matches by its name alone. An empty
+    hash means unknown. A street in other weather is the same street.
     """
     places, hashes = {place_of(*scene[:2]) for scene in seen}, {value for *_, value in seen if value}
     return sorted(
@@ -72,16 +71,16 @@ def shared_scenes(seen: Collection[tuple[str, str, str]], measured: Collection[t
 
 
 def refuse_tuned_scenes(weights_file: Path, scenes: Collection[tuple[str, str, str]]) -> None:
-    """Refuse to measure weights on scenes that they, or weights that they started from, were fine-tuned on.
+    """Refuse to measure weights on scenes that they, or the weights they started from, were fine-tuned on.
 
-    scenes: as of `shared_scenes`. Weights without provenance, or that were trained otherwise, pass.
-    Raises: InputError naming the scenes, or a provenance that cannot be read.
+    scenes: as in `shared_scenes`. Weights without provenance or without fine-tuning pass.
+    Raises: InputError naming the scenes, or a provenance file that cannot be read.
     """
     tuned: set[tuple[str, str, str]] = set()
     facts = read_provenance(weights_file)
     while facts:
         found = (facts.get("finetuned_on") or {}).get("scenes", [])
-        # An older program wrote hashes by names.
+        # Older provenance files hold a dict of hashes by name.
         tuned.update([("", *scene) for scene in found.items()] if isinstance(found, dict) else map(tuple, found))
         facts = facts.get("before")
     if both := shared_scenes(tuned, scenes):

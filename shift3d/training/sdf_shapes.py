@@ -1,4 +1,4 @@
-"""The shapes that the decoder is trained on, sampled once and kept in a file: here, vehicles of the family."""
+"""Training shapes of the decoder: vehicles of the family, sampled once and cached in a file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CODE = ("sdf/samples.py", "seeding.py", "training/sdf_shapes.py", "vehicles/fam
 class ShapeSamples:
     """Samples of S shapes, P each: points (S, P, 3), distances (S, P), float32, sdf units; scale_m (S,) float64.
 
-    source: "family", or what identifies the meshes they come from.
+    source: "family", or an identifier of the sampled meshes.
     """
 
     points: NDArray[np.float32]
@@ -36,7 +36,7 @@ class ShapeSamples:
 def in_random_order(
     mesh: trimesh.Trimesh, samples: int, name: str, *key: str | int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-    """Points, distances and scale of a mesh's samples, in random order. name, key: of the generators."""
+    """Sample a mesh. Returns points, distances, in random order, and scale. name, key: of the generators."""
     result = sample_sdf(mesh, samples, generator(f"{name} samples", *key))
     order = generator(f"{name} sample order", *key).permutation(len(result.points))
     return result.points[order], result.distances[order], result.scale_m
@@ -48,9 +48,9 @@ def _sampled(task: tuple[VehicleSpec, int, int, int]) -> tuple[NDArray[np.float3
 
 
 def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: int) -> ShapeSamples:
-    """Sample the training shapes, or read them back from `cache` (a folder) when it holds just these.
+    """Sample the training shapes, or read them from `cache` (a folder) if it holds the same samples.
 
-    What another program sampled is sampled again. The samples of a shape are in random order, so that consecutive
+    Samples of another program version are not reused. The samples of a shape are in random order, so that consecutive
     slices are fair batches.
     """
     file = cache / f"shapes-{shapes}-{samples}-{seed}-{program_digest(*_CODE)[:16]}.npz"
@@ -65,7 +65,7 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
 
 
 def shape_scales(shapes: int, seed: int, cache: Path) -> NDArray[np.float64]:
-    """Metres per sdf unit of the training shapes (S,), from the cached samples, or from their meshes without them."""
+    """Return metres per sdf unit (S,) of the training shapes: from the cached samples, or else from the meshes."""
     for file in sorted(cache.glob(f"shapes-{shapes}-*-{seed}-{program_digest(*_CODE)[:16]}.npz")):
         with np.load(file, allow_pickle=False) as data:
             return np.asarray(data["scale_m"], np.float64)

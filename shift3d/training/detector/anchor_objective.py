@@ -1,4 +1,4 @@
-"""What trains anchors: which of them a vehicle trains, toward what, and the losses."""
+"""Training objective of anchor heads: assignment of vehicles to anchors, and the losses."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NEGLIGIBLE_IOU = 0.05
 
 @dataclass(frozen=True)
 class AnchorTargets:
-    """labels (A,) int64 in {-1, 0, 1}; positives (P,) int64, anchors; codes (P, 7); directions (P,) int64."""
+    """Labels (A,) int64 in {-1, 0, 1}; positives (P,) int64, anchor indices; codes (P, 7); directions (P,) int64."""
 
     labels: Tensor
     positives: Tensor
@@ -33,7 +33,7 @@ class AnchorTargets:
 
 
 def _axis_aligned(boxes: Tensor) -> Tensor:
-    """Boxes snapped to the nearest axis: (N, 4) x0, y0, x1, y1."""
+    """Snap boxes to the nearest axis. Returns (N, 4): x0, y0, x1, y1."""
     folded = torch.remainder(boxes[:, 6] + pi / 4, pi)
     along_x = folded < pi / 2
     half_x = torch.where(along_x, boxes[:, 3], boxes[:, 4]) / 2
@@ -43,9 +43,9 @@ def _axis_aligned(boxes: Tensor) -> Tensor:
 
 
 def nearest_bev_iou(anchors: Tensor, boxes: Tensor) -> Tensor:
-    """BEV IoU of boxes snapped to the nearest axis: (A, 7), (M, 7) -> (A, M).
+    """Compute the BEV IoU of anchors (A, 7) and boxes (M, 7), snapped to the nearest axis. Returns (A, M).
 
-    Source: SECOND's public code ("nearest" IoU): cheap, and enough to decide which anchors to train.
+    Source: SECOND's public code ("nearest" IoU): cheap, and exact enough to choose the anchors to train.
     """
     a, b = _axis_aligned(anchors)[:, None], _axis_aligned(boxes)[None]
     low, high = torch.maximum(a[..., :2], b[..., :2]), torch.minimum(a[..., 2:], b[..., 2:])
@@ -55,10 +55,10 @@ def nearest_bev_iou(anchors: Tensor, boxes: Tensor) -> Tensor:
 
 
 def assign_anchors(anchors: Tensor, boxes: Tensor, usable: Tensor) -> AnchorTargets:
-    """Anchors (A, 7), vehicles (M, 7) -> targets.
+    """Compute the targets of anchors (A, 7) from vehicles (M, 7).
 
-    usable: (M,) bool; the others (too few points) only turn the anchors they overlap into ignored ones.
-    Positive at IoU >= 0.55, and the best anchor of each usable vehicle whatever its IoU; negative below 0.40.
+    usable: (M,) bool; the other vehicles (too few points) only turn the anchors that they overlap into ignored ones.
+    Positive: IoU >= 0.55, or a usable vehicle's best anchor at IoU > 0.05. Negative: IoU < 0.40.
     Source: public Waymo config of PointPillars.
     """
     labels = torch.full((len(anchors),), NEGATIVE)
@@ -80,7 +80,7 @@ def assign_anchors(anchors: Tensor, boxes: Tensor, usable: Tensor) -> AnchorTarg
 
 
 def sine_code_difference(codes: Tensor, wanted: Tensor) -> Tensor:
-    """Difference of (P, 7) codes, the heading's by its sine, so that half turns cost nothing.
+    """Subtract codes (P, 7), headings by the sine of their difference, so that half turns cost nothing.
 
     Source: SECOND (Yan et al. 2018), section 3.3.
     """
@@ -89,7 +89,7 @@ def sine_code_difference(codes: Tensor, wanted: Tensor) -> Tensor:
 
 
 def focal_loss(logits: Tensor, is_positive: Tensor) -> Tensor:
-    """Focal loss of each anchor, same shape. Differentiable w.r.t. logits.
+    """Compute the focal loss of each anchor, in the shape of `logits`. Differentiable w.r.t. logits.
 
     Source: Lin et al. 2017, alpha 0.25, gamma 2.
     """
@@ -103,7 +103,7 @@ def focal_loss(logits: Tensor, is_positive: Tensor) -> Tensor:
 class AnchorObjective:
     """Focal loss (class), smooth L1 (box), cross entropy (direction), each over the number of positive anchors.
 
-    Source: public Waymo config of PointPillars; weights and the box loss's knee are the recipe's.
+    Source: public Waymo config of PointPillars; the recipe gives the weights and the knee of the box loss.
     """
 
     def __init__(self, recipe: Recipe) -> None:
@@ -111,17 +111,17 @@ class AnchorObjective:
         self.weights = torch.tensor(recipe.code_weights)
 
     def targets(self, heads: BoxHeads, grid: Grid, crop: Crop) -> AnchorTargets:
-        """Of one crop."""
+        """Compute the targets of one crop."""
         assert isinstance(heads, AnchorHeads)
         anchors = anchor_boxes(heads.anchors, grid, crop.window)
         return assign_anchors(anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable))
 
     def cells(self, heads: BoxHeads, target: AnchorTargets) -> Tensor:
-        """(P,) the cells of the positive anchors."""
+        """Return the cells (P,) of the positive anchors."""
         return target.positives // heads.per_cell
 
     def loss(self, logits: Tensor, box_rows: Tensor, target: AnchorTargets) -> dict[str, Tensor]:
-        """Weighted parts. logits: (A,). box_rows: (P, R), what the box layers give at the positives' cells."""
+        """Compute the weighted loss parts. logits: (A,). box_rows: (P, R), box outputs at the positives' cells."""
         count, per_cell = max(1, target.positives.numel()), box_rows.shape[1] // 9
         trained = target.labels != IGNORED
         classes = focal_loss(logits[trained], target.labels[trained] == POSITIVE).sum()

@@ -1,6 +1,6 @@
-"""Examples of each step, made while the network computes: in a thread beside a CPU, in processes beside a GPU.
+"""Training examples, made while the network computes: in a thread beside a CPU, in processes beside a GPU.
 
-A core makes some twenty a second.
+One core makes about twenty examples a second.
 """
 
 from __future__ import annotations
@@ -27,10 +27,9 @@ from shift3d.training.detector.objective import Objective, each_field
 
 @dataclass(frozen=True)
 class Example:
-    """One crop as a network takes it, and what it should answer.
+    """One crop as network input, with its training targets.
 
-    points: (K, 3) float32, network frame, metres: those that fall into a pillar, sorted by it. targets: the
-    objective's.
+    points: (K, 3) float32, network frame, metres; points inside pillars, sorted by pillar. targets: the objective's.
     """
 
     points: Tensor
@@ -39,26 +38,25 @@ class Example:
     targets: Any
 
     def each(self, change: Callable[[Any], Any]) -> Example:
-        """With all of its tensors changed alike: put on a device, or made arrays."""
+        """Return a copy with `change` applied to every tensor: moved to a device, or converted to an array."""
         pillars, targets = each_field(self.pillars, change), each_field(self.targets, change)
         return Example(change(self.points), pillars, self.window, targets)
 
 
 Batch = tuple[int, list[Example]]
-"""A step and its examples, on the CPU."""
-AHEAD = 2
-"""Batches in the making, a worker."""
+"""Step and its examples, on the CPU."""
+AHEAD = 2  # batches that each worker has in progress
 
 
 class BatchMaker:
-    """Makes the batch of any step. It can be sent to another process, and makes the same there."""
+    """Maker of the batch of any step; a pickled copy in another process makes the same batches."""
 
     def __init__(self, crops: RandomCrops, objective: Objective, net: DetectorNet) -> None:
         self.crops, self.objective, self.grid = crops, objective, net.grid
-        self.heads = copy.deepcopy(net.heads).cpu()  # what targets read of it does not change
+        self.heads = copy.deepcopy(net.heads).cpu()  # training does not change what targets read from the heads
 
     def of(self, step: int) -> Batch:
-        """Raises: InputError where the scenes hold next to no points."""
+        """Return the batch of a step. Raises: InputError if the scenes hold almost no points."""
         return step, [self._example(self.crops.of(step, slot)) for slot in range(self.crops.recipe.batch)]
 
     def _example(self, crop: Crop) -> Example:
@@ -70,7 +68,7 @@ class BatchMaker:
 
 
 def batches(maker: BatchMaker, steps: range, workers: int) -> Iterator[Batch]:
-    """The batch of each step, in order. workers: processes that make them; 0: one thread of this one."""
+    """Yield the batch of each step, in order. workers: processes that make them; 0: one thread of this process."""
     if workers:
         context = multiprocessing.get_context("spawn")  # a fork would copy CUDA's state and the locks of threads
         pool = ProcessPoolExecutor(workers, context, _open, (maker,))
@@ -81,7 +79,7 @@ def batches(maker: BatchMaker, steps: range, workers: int) -> Iterator[Batch]:
 
 
 def _in_order(pool: Executor, make: Callable[[int], Batch], steps: range, ahead: int) -> Iterator[Batch]:
-    """What a pool makes of each step, `ahead` of them at once; the pool is closed at the end."""
+    """Yield the results of `make` for each step in order, `ahead` of them in progress; close the pool at the end."""
     coming: deque[Future[Batch]] = deque(pool.submit(make, step) for step in steps[:ahead])
     try:
         for step in steps:
@@ -98,13 +96,13 @@ _maker: BatchMaker | None = None
 
 def _open(maker: BatchMaker) -> None:
     global _maker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the training stops by itself, its checkpoint written
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process stops the training after a checkpoint
     torch.set_num_threads(1)
     _maker = maker
 
 
 def _made_arrays(step: int) -> Batch:
-    """Examples as arrays: a tensor that is sent to another process holds a file open."""
+    """Return a batch with arrays instead of tensors: each tensor sent to another process holds a file open."""
     assert _maker is not None
     step, examples = _maker.of(step)
     return step, [example.each(torch.Tensor.numpy) for example in examples]

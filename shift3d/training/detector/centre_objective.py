@@ -1,4 +1,4 @@
-"""What trains heads without anchors: a heat map with a peak at every centre, and the box at the cells of the peak."""
+"""Training objective of heads without anchors: a heat map with a peak at every centre, and boxes near the peak."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEAST_RADIUS = 2
 
 @dataclass(frozen=True)
 class CentreTargets:
-    """heat (cells,) in [0, 1]; trained (cells,) bool; positives (P,) int64, cells; codes (P, 8)."""
+    """Targets: heat (cells,) in [0, 1]; trained (cells,) bool; positives (P,) int64, cell indices; codes (P, 8)."""
 
     heat: Tensor
     trained: Tensor
@@ -32,7 +32,7 @@ class CentreTargets:
 
 
 def gaussian_radius(length: float, width: float) -> int:
-    """Cells by which a footprint (cells) may be displaced in x and y and still overlap itself by LEAST_OVERLAP.
+    """Compute the shift in x and y, in cells, at which a footprint overlaps itself with an IoU of LEAST_OVERLAP.
 
     Solves (l - r)(w - r) = 2 m / (1 + m) l w. Source: CornerNet, section 3.2; CenterPoint: overlap 0.1, at least 2.
     """
@@ -41,11 +41,11 @@ def gaussian_radius(length: float, width: float) -> int:
 
 
 def assign_centres(grid: Grid, window: BevWindow, boxes: Tensor, usable: Tensor, centre_radius: int) -> CentreTargets:
-    """Vehicles (M, 7) -> targets of the window's cells, over y, then x.
+    """Compute the targets of the window's cells (x varies fastest) from vehicles (M, 7).
 
-    usable: (M,) bool; around the centres of the others (too few points) nothing is trained. centre_radius: cells around
-    a centre's own that draw its box too, so that a peak one cell off draws it as well; a cell of two vehicles belongs
-    to the nearer one. Source: CenterPoint, section 4.1; more than one cell: AFDet (Ge et al. 2020).
+    usable: (M,) bool; cells around the centres of the other vehicles (too few points) are not trained. centre_radius:
+    cells around a centre that also regress its box, so that a peak one cell off still gives the box; a cell of two
+    vehicles belongs to the nearer one. Source: CenterPoint, section 4.1; more than one cell: AFDet (Ge et al. 2020).
     """
     y, x = torch.meshgrid(torch.arange(window.num_y), torch.arange(window.num_x), indexing="ij")
     heat, trained = torch.zeros(x.shape), torch.ones(x.shape, dtype=torch.bool)
@@ -74,7 +74,7 @@ def assign_centres(grid: Grid, window: BevWindow, boxes: Tensor, usable: Tensor,
 
 
 def heat_map_loss(logits: Tensor, heat: Tensor) -> Tensor:
-    """Loss of each cell against its heat in [0, 1], same shape; 1 is a centre, and near one a score costs less.
+    """Compute each cell's loss against its heat in [0, 1], same shape. Heat 1 is a centre; near it a score costs less.
 
     Differentiable w.r.t. logits. Source: CornerNet (Law and Deng 2018), equation 1, as in CenterPoint.
     """
@@ -84,7 +84,7 @@ def heat_map_loss(logits: Tensor, heat: Tensor) -> Tensor:
 
 
 class CentreObjective:
-    """Heat map by its focal loss, boxes by L1, each over the number of what it counts.
+    """Focal loss of the heat map over the number of centres, L1 loss of boxes over the number of positives.
 
     Source: CenterPoint, with the weights of its public Waymo configuration (box 2).
     """
@@ -94,12 +94,12 @@ class CentreObjective:
         self.weights = torch.tensor((*recipe.code_weights, recipe.code_weights[6]))
 
     def targets(self, heads: BoxHeads, grid: Grid, crop: Crop) -> CentreTargets:
-        """Of one crop."""
+        """Compute the targets of one crop."""
         boxes, usable = torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable)
         return assign_centres(grid, crop.window, boxes, usable, self.recipe.centre_radius)
 
     def loss(self, logits: Tensor, box_rows: Tensor, target: CentreTargets) -> dict[str, Tensor]:
-        """Weighted parts. logits: (cells,). box_rows: (P, 8) at the positives."""
+        """Compute the weighted loss parts. logits: (cells,). box_rows: (P, 8), predicted codes at the positives."""
         centres = ((target.heat == 1.0) & target.trained).sum().clamp_min(1)
         heat = heat_map_loss(logits[target.trained], target.heat[target.trained]).sum() / centres
         difference = (box_rows - target.codes).abs() * self.weights.to(box_rows.device)
@@ -107,5 +107,5 @@ class CentreObjective:
         return {"class": heat, "box": self.recipe.box_weight * boxes}
 
     def cells(self, heads: BoxHeads, target: CentreTargets) -> Tensor:
-        """(P,) the cells of the positives."""
+        """Return the cells (P,) of the positives."""
         return target.positives

@@ -1,7 +1,7 @@
-"""One random training crop of a scene: around which vehicle it is cut, its window of the grid, and how it is varied.
+"""Random training crops of a scene: the centre, the window of the grid, and augmentation.
 
-What a sensor does (lost points, coarser beams, noise) and the height and slope of the ground are varied so that the
-same weights work on both procedural sensors and on real frames (our choice). See `recipe.Augmentation` for the fields.
+Sensor effects (lost points, coarser beams, noise) and the ground's height and slope vary, so that the same weights work
+on both procedural sensors and on real frames (our choice). See `recipe.Augmentation` for the fields.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LINE_SPACING_DEG = (0.25, 0.6)
 
 @dataclass(frozen=True)
 class Crop:
-    """points (N, 3) and boxes (M, 7) float32, network frame; usable (M,): boxes with enough points."""
+    """Points (N, 3) and boxes (M, 7) float32, network frame; usable (M,): boxes with enough points."""
 
     points: Floats
     boxes: Floats
@@ -38,13 +38,13 @@ class Crop:
     window: BevWindow
 
     def points_inside(self, grid: Grid) -> Floats:
-        """Points that lie in the window and in the grid's heights."""
+        """Return the points inside the window and the grid's height range."""
         _, _, inside = cells_of(torch.from_numpy(self.points), grid, self.window)
         return self.points[inside]
 
 
 def window_around(grid: Grid, centre_xy: tuple[float, float], cells: int) -> BevWindow:
-    """A square window near a centre, aligned to the stride, inside the grid; the core is all of it."""
+    """Return a square window near a centre, aligned to the stride, inside the grid; its core is the whole window."""
     starts = []
     for centre, origin, count in ((centre_xy[0], grid.x_min_m, grid.num_x), (centre_xy[1], grid.y_min_m, grid.num_y)):
         start = round(((centre - origin) / grid.cell_m - cells / 2) / STRIDE) * STRIDE
@@ -54,7 +54,7 @@ def window_around(grid: Grid, centre_xy: tuple[float, float], cells: int) -> Bev
 
 
 def _pushed_m(grid: Grid, centre_xy: tuple[float, float], cells: int) -> float:
-    """How far the middle of `window_around` lies from the centre, as the window would leave the grid."""
+    """Compute the distance by which the grid's edge pushes the middle of `window_around` off the centre."""
     half = cells / 2 * grid.cell_m
     ends = ((grid.x_min_m, grid.num_x), (grid.y_min_m, grid.num_y))
     inside = [(low + half, low + count * grid.cell_m - half) for low, count in ends]
@@ -69,10 +69,10 @@ def random_crop(
     database: VehicleDatabase | None = None,
     around: npt.NDArray[np.float64] | None = None,
 ) -> Crop:
-    """Cut, paste vehicles into it, vary and move. The same rng state gives the same crop.
+    """Cut a crop, paste vehicles into it and augment it. The same rng state gives the same crop.
 
-    Of the recipe its crop and its augmentation are read. database: vehicles to paste; None: none are. around: (x, y)
-    that the crop is cut near; None: a vehicle's, or anywhere.
+    recipe: only the crop and augmentation fields are read. database: vehicles to paste; None: nothing is pasted.
+    around: (x, y) near which the crop is cut; None: near a vehicle, or anywhere.
     """
     augmentation, cells = recipe.augmentation, recipe.crop_cells
     angle, scale = rng.uniform(*augmentation.turn_rad), rng.uniform(*augmentation.scale)
@@ -97,7 +97,7 @@ def random_crop(
 
 
 def _centre(scene: TrainingScene, recipe: Recipe, rng: np.random.Generator) -> npt.NDArray[np.float64]:
-    """Near a vehicle mostly, anywhere sometimes: crops without any vehicle teach what is none."""
+    """Draw a place, mostly near a vehicle, sometimes anywhere: crops without a vehicle teach the background."""
     if rng.random() >= recipe.empty_share:
         vehicle = vehicle_centre(scene, recipe.augmentation.range_bins_m, recipe.min_points, rng)
         if vehicle is not None:
@@ -112,9 +112,9 @@ def _near(place: npt.NDArray[np.float64], recipe: Recipe, rng: np.random.Generat
 def vehicle_centre(
     scene: TrainingScene, bins_m: tuple[float, ...], min_points: int, rng: np.random.Generator
 ) -> npt.NDArray[np.float64] | None:
-    """(x, y) of a vehicle that is seen, each bin of ranges as often as any other that holds one; None: there is none.
+    """Draw the (x, y) of a visible vehicle, each non-empty range bin with equal probability; None if there is none.
 
-    bins_m: rising edges. Of vehicles that turn out to have too few points a few are tried.
+    bins_m: ascending edges. A vehicle with too few points is replaced by another draw, at most TRIES times.
     """
     range_m = np.hypot(scene.boxes[:, 0], scene.boxes[:, 1])
     bins = [np.flatnonzero((range_m >= low) & (range_m < high)) for low, high in pairwise(bins_m)]
@@ -131,7 +131,7 @@ def vehicle_centre(
 
 
 def thinned(points: Floats, sensor_height_m: float, augmentation: Augmentation, rng: np.random.Generator) -> Floats:
-    """Lose points at random, sometimes whole scan lines, and add noise along the beam."""
+    """Drop points at random, sometimes whole scan lines, and add noise along the beam."""
     keep = np.ones(len(points), dtype=bool)
     if rng.random() < 0.5:
         keep &= rng.random(len(points)) < rng.uniform(*augmentation.kept_points)
@@ -150,7 +150,7 @@ def thinned(points: Floats, sensor_height_m: float, augmentation: Augmentation, 
 def vehicles_varied(
     points: Floats, boxes: Floats, augmentation: Augmentation, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Scale and stretch each vehicle with its points about the middle of its bottom face; take returns from some."""
+    """Scale and stretch each vehicle with its points about the middle of its bottom face; drop returns of some."""
     points, boxes = points.copy(), boxes.copy()
     stays = np.ones(len(points), dtype=bool)
     for row, inside in enumerate(points_in_boxes(points, boxes, MARGIN_M)):
@@ -172,7 +172,7 @@ def vehicles_varied(
 def moved(
     points: Floats, boxes: Floats, move: tuple[float, bool, float], augmentation: Augmentation, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Mirror, turn about the sensor, scale, shift, and tilt the ground. move: (angle, mirrored, scale)."""
+    """Mirror, rotate about the sensor, scale, shift, and tilt the ground. move: (angle, mirrored, scale)."""
     angle, flip, scale = move
     points, boxes = points.copy(), boxes.copy()
     aside = rng.uniform(-augmentation.shift_m, augmentation.shift_m, 2)

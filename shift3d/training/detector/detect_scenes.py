@@ -1,6 +1,6 @@
-"""Detections over a scene set, once, for every metric: in this process or in several, to the same bits.
+"""Detections over a scene set for all metrics, in one process or several, with the same results bit for bit.
 
-Answers are kept on disk, a small file a scene, so that an interrupted evaluation goes on where it stopped.
+Results are stored in one small file per scene, so that an interrupted evaluation resumes.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from shift3d.store.arrays import write_arrays
 from shift3d.training.detector_scenes import network_points
 from shift3d.training.processes import each, threads
 
-# Waymo's second score cut-off. The detectors keep the best 4096 boxes before suppression whatever their score, and
-# where that many lie above 0.1 a lower floor costs nothing and brings nothing.
+# Waymo's second score cut-off. Detectors keep the best 4096 boxes before non-maximum suppression, whatever their score:
+# if 4096 boxes score above 0.1, a lower floor has neither a cost nor an effect.
 SCORE_FLOOR = 0.01
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A frame with its detections, and the milliseconds that the scene and the detection took."""
+    """Detections and ground truth of a frame; milliseconds to load the scene and to detect."""
 
     frame: DetectedFrame
     scene_ms: float
@@ -42,11 +42,11 @@ class Answer:
 
 
 def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshold: float = SCORE_FLOOR) -> Answer:
-    """Load one scene, run the detector on its whole grid, and record truth and detections in the scene's frame.
+    """Load one scene, run the detector on its whole grid, and record ground truth and detections in the scene frame.
 
     In KITTI frames only cars count, boxes outside the camera's view are marked as unlabelled, and labels carry KITTI's
-    difficulty. Vans are ignored as in KITTI's development kit. Trucks are ignored too (our choice: the detectors have
-    one class for all three; to the kit a truck that is found is an error).
+    difficulty. Vans are ignored as in KITTI's development kit. Trucks are also ignored (our choice: the detectors have
+    one class for all three; the kit counts a detected truck as an error).
 
     Raises InputError: the scene cannot be read.
     """
@@ -91,18 +91,18 @@ def detect_scenes(
     score_threshold: float = SCORE_FLOOR,
     names: list[str] | None = None,
 ) -> Iterator[Answer]:
-    """Detect in every scene of a set, or in those of ``names``; answers come in that order.
+    """Yield the result of every scene of a set, or of every scene in ``names``, in that order.
 
-    open_detector, open_scenes: called once in every process; with several workers both must be picklable. Every
-    process computes on one thread: with more, sums would be taken in another order and the bits would change.
+    open_detector, open_scenes: called once in every process; with several workers both must be picklable. Every process
+    computes on one thread: more threads would sum in another order and change the bits.
 
-    Raises InputError: a scene cannot be read, or the detector not be opened.
+    Raises InputError: a scene cannot be read, or the detector cannot be opened.
     """
     names = open_scenes().names() if names is None else names
     if not names:
         return
     if min(workers, len(names)) > 1:
-        open_detector()  # what is wrong with it is said here: a worker that cannot start says nothing
+        open_detector()  # its errors must be raised here: a worker that cannot start reports none
     with threads(1):
         hold = partial(_opened, open_detector, open_scenes)
         yield from each(partial(_detect, score_threshold), names, workers, hold)
@@ -122,15 +122,15 @@ def answers_of(
     detect: Callable[[list[str]], Iterator[Answer]],
     state_of: Callable[[str], str] = lambda name: "",
 ) -> Iterator[Answer]:
-    """The answer of every scene, in order: from ``folder`` where it lies there, else detected and written there.
+    """Yield the result of every scene in order: read from ``folder`` if stored there, else detected and stored.
 
-    detect: names of the scenes that are missing to their answers, in that order. state_of: of a scene's name, the state
-    of what its answer is made of; what lies there of another state is detected again. Empty: the name says everything.
+    detect: maps names of missing scenes to their results, in that order. state_of: maps a scene's name to the state of
+    its inputs; a stored result of another state is detected again. Empty: the name identifies the result.
 
     Raises InputError: a file in ``folder`` is torn, or whatever ``detect`` raises.
     """
     names = list(names)
-    states = {name: state_of(name) for name in names}  # before files are read: one that changes meanwhile is read again
+    states = {name: state_of(name) for name in names}  # before inputs are read: the next run detects later changes
     missing = [name for name in names if not _is_kept(_file(folder, name), states[name])]
     coming, left = detect(missing), set(missing)
     for name in names:
@@ -143,7 +143,7 @@ def answers_of(
 
 
 def _is_kept(file: Path, state: str) -> bool:
-    """Whether an answer lies there, of this state."""
+    """True if the file holds a result of this state."""
     if not file.exists() or not state:
         return file.exists()
     with _readable(file) as data:
@@ -155,7 +155,7 @@ def _file(folder: Path, name: str) -> Path:
 
 
 def write_answer(file: Path, answer: Answer, state: str = "") -> None:
-    """Write one answer atomically. state: see `answers_of`. Raises InputError on a full disk."""
+    """Write one result atomically. state: see `answers_of`. Raises InputError on a full disk."""
     truth, found = answer.frame.truth, answer.frame.found
     write_arrays(
         file,
@@ -173,7 +173,7 @@ def write_answer(file: Path, answer: Answer, state: str = "") -> None:
 
 
 def read_answer(file: Path) -> Answer:
-    """Read what :func:`write_answer` wrote, bit for bit. Raises InputError for a file that it did not write."""
+    """Read a file of :func:`write_answer`, bit for bit. Raises InputError for any other file."""
     with _readable(file) as data:
         truth = Truth(
             data["truth_boxes"],
@@ -190,7 +190,7 @@ def read_answer(file: Path) -> Answer:
 
 @contextmanager
 def _readable(file: Path) -> Iterator[Mapping[str, np.ndarray]]:
-    """An answer's arrays by name. Raises InputError for a file that is none."""
+    """Yield a result's arrays by name. Raises InputError for any other file."""
     try:
         with np.load(file, allow_pickle=False) as data:
             yield data

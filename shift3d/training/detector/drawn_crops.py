@@ -1,4 +1,4 @@
-"""Which crop a step takes: drawn at random from scenes, or every scene with an object once."""
+"""Crops of a training step: drawn at random from scenes, or every scene with an object once an epoch."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector_scenes import TrainingScene, load_cached
 
-LEAST_POINTS = 10
-"""Of a crop: a batch norm has no statistics of a single point."""
+LEAST_POINTS = 10  # of a crop: a batch norm has no statistics of a single point
 TRIES = 50
 
 
 class RandomCrops:
-    """The crops of a step, or of the statistics: the seed and the step alone decide them.
+    """Crops of each step and for the batch norm statistics; the seed and the step alone decide them.
 
-    mesh, inserted: cached scenes without and with insertions. database: vehicles to paste; None: none are.
+    mesh, inserted: cached scenes without and with insertions. database: vehicles to paste; None: nothing is pasted.
     """
 
     def __init__(
@@ -40,13 +39,13 @@ class RandomCrops:
         self.mesh, self.inserted, self.database = mesh, inserted, database
 
     def of(self, step: int, slot: int) -> Crop:
-        """One crop. Raises: InputError where the scenes hold next to no points."""
+        """Return one crop. Raises: InputError if the scenes hold almost no points."""
         recipe, rng = self.recipe, self._generator(step, slot)
         use_inserted = step >= recipe.mesh_only_steps and rng.random() < recipe.inserted_share
         return self._any(self.inserted if use_inserted and len(self.inserted) else self.mesh, rng, step)
 
     def of_statistics(self) -> Iterator[Crop]:
-        """Crops of no step."""
+        """Return an endless iterator of crops that belong to no step."""
         return (self.of(self.recipe.all_steps, slot) for slot in count(0))
 
     def _generator(self, step: int, slot: int) -> np.random.Generator:
@@ -66,13 +65,13 @@ class RandomCrops:
 
 
 class EpochCrops(RandomCrops):
-    """Every inserted scene once an epoch, cut about its last box, `recipe.inserted_share` of the crops.
+    """Crops that show every inserted scene once an epoch, cut about its last box.
 
-    The others are `RandomCrops` of the scenes without insertion. The order of an epoch depends on the seed alone.
+    A share of `recipe.inserted_share`; other crops are `RandomCrops` without insertion. The seed alone sets the order.
     """
 
     def of(self, step: int, slot: int) -> Crop:
-        """One crop. Raises: InputError where the scenes hold next to no points."""
+        """Return one crop. Raises: InputError if the scenes hold almost no points."""
         share, number, rng = self.recipe.inserted_share, step * self.recipe.batch + slot, self._generator(step, slot)
         before = floor(number * share)
         if floor((number + 1) * share) == before:
@@ -83,8 +82,8 @@ class EpochCrops(RandomCrops):
 
 
 def epoch_steps(objects: int, recipe: Recipe) -> int:
-    """Steps after which `EpochCrops` has taken each of some objects once; the last step may begin the next epoch."""
+    """Compute the steps in which `EpochCrops` shows each object once; the last step may begin the next epoch."""
     crops = ceil(objects / recipe.inserted_share)
-    while floor(crops * recipe.inserted_share) < objects:  # a share that is rounded down
+    while floor(crops * recipe.inserted_share) < objects:  # the product may round down
         crops += 1
     return ceil(crops / recipe.batch)

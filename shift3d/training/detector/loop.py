@@ -1,4 +1,4 @@
-"""The loop of detector training: a fixed number of steps on crops of scenes, resumable to the same weights."""
+"""Training loop of detectors: a fixed number of steps on crops of scenes, resumable to the same weights."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from shift3d.training.progress import CurvePoint, Report, mean_values, stop_on_s
 def recompute_statistics(net: DetectorNet, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> None:
     """Set every batch norm's mean and variance to those of this batch, in place; weights stay.
 
-    All crops go through as one batch, each layer normalised by that batch: the statistics of a layer are then those
-    of what it is given at inference. Means over small batches are not: each of these normalises by its own.
+    All crops pass as one batch, and each layer is normalised by that batch: its statistics are those of its input at
+    inference. Means over small batches differ, because each small batch is normalised by its own statistics.
     Source: our choice, after the population statistics of Ioffe and Szegedy 2015, section 3.1; Wu and Johnson 2021
-    measure what running means lose.
+    measure the loss from running means.
     """
     norms = [module for module in net.modules() if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d)]
     momenta = [norm.momentum for norm in norms]
@@ -51,12 +51,11 @@ def recompute_statistics(net: DetectorNet, clouds: Sequence[Tensor], windows: Se
 
 CHECKPOINT = "checkpoint.pt"
 SHIPPED_DATA = "street"
-CURVE_STEPS = 25
-"""Every so many steps the curves get a point; it is the mean over them."""
+CURVE_STEPS = 25  # steps per curve point; a point is the mean over these steps
 
 
 class _Run:
-    """The state of one training: network, optimiser, steps done, curves, steps since their last point, and seconds."""
+    """State of one training: network, optimiser, steps done, curve, steps since its last point, and seconds."""
 
     def __init__(
         self, file: Path, recipe: Recipe, compute: Compute, data: str, start: Mapping[str, Any] | None
@@ -68,7 +67,7 @@ class _Run:
         if start is not None:
             self.net.load_state_dict(dict(start))
         self.net.to(compute.device)
-        if compute.fast_bfloat16 and recipe.bfloat16:  # in float32 on a processor this layout is the slower one
+        if compute.fast_bfloat16 and recipe.bfloat16:  # in float32 on a CPU this layout is slower
             self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimiser = torch.optim.AdamW(self.net.parameters(), lr=recipe.peak_rate, weight_decay=recipe.weight_decay)
         self.done = 0
@@ -76,7 +75,7 @@ class _Run:
         self.recent: list[dict[str, float]] = []
         self.reported = 0
         self.steps_by_device: dict[str, int] = {}
-        # As if it had begun without an interruption.
+        # The start time of an uninterrupted training.
         self.began_s = time.monotonic() - self._resume()
 
     def _resume(self) -> float:
@@ -84,7 +83,7 @@ class _Run:
             return 0.0
         state = read_checkpoint(self.file)
         for key, ours, what in (("recipe", repr(self.recipe), "recipe"), ("data", self.data, "set of scenes")):
-            # Checkpoints from before `data` was written are of the shipped streets.
+            # Checkpoints without `data` are of the shipped streets.
             if state.get(key, SHIPPED_DATA) != ours:
                 what = f"the checkpoint was trained by another {what}"
                 raise InputError(what, str(self.file), remedy="Choose another folder with out=")
@@ -98,7 +97,7 @@ class _Run:
         return float(state.get("seconds", 0.0))
 
     def save(self, report: Report | None) -> None:
-        """Replace the checkpoint, then report the curve's points since the last one."""
+        """Replace the checkpoint, then report the curve points since the last checkpoint."""
         state = {
             "steps_done": self.done,
             "recipe": repr(self.recipe),
@@ -130,23 +129,20 @@ def train_on_scenes(
     draw: type[RandomCrops] = RandomCrops,
     keep_statistics: bool = False,
 ) -> DetectorNet:
-    """Train, or go on from out_dir's checkpoint, to recipe.all_steps (or stop_after, to be resumed).
+    """Train to recipe.all_steps, or to stop_after (to be resumed); resume from out_dir's checkpoint if there is one.
 
-    A resumed training gives the weights of an uninterrupted one: the crops of a step depend on the seed and
-    the step alone. Every `checkpoint_every` steps a checkpoint replaces the last one; so it does when SIGINT or
-    SIGTERM asks to stop.
+    A resumed training gives the weights of an uninterrupted one: the crops of a step depend on the seed and the step
+    alone. A checkpoint replaces the last one every `checkpoint_every` steps, and when SIGINT or SIGTERM asks to stop.
 
     Args:
         mesh_scenes, inserted_scenes: cached scenes without and with rendered insertions.
-        compute: default the CPU, one thread.
-        report: is given the curves' points after every checkpoint.
-        data: what identifies the scenes; a checkpoint of others is refused.
-        start: a state dict to start from instead of random weights.
-        draw: how a step's crops are chosen. keep_statistics: batch norms compute as at inference from the first step
-            on, by the statistics of `start`.
+        compute: default the CPU, one thread. report: called with the curves' points after every checkpoint.
+        data: identifies the scenes; a checkpoint of other scenes is refused.
+        start: a state dict to start from instead of random weights. draw: class that chooses a step's crops.
+        keep_statistics: batch norms compute as at inference from the first step, with the statistics of `start`.
     Returns: the network on its device, in evaluation mode.
-    Raises: InputError if the recipe cannot be trained by, the checkpoint belongs to another recipe or other scenes, or
-        the loss is no number any more; KeyboardInterrupt when asked to stop, the checkpoint being written.
+    Raises: InputError if the recipe is invalid, the checkpoint belongs to another recipe or other scenes, or the loss
+    is not finite; KeyboardInterrupt when asked to stop, after the checkpoint is written.
     """
     recipe.validate()
     compute.prepare()
@@ -177,13 +173,13 @@ def train_on_scenes(
                 tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
             if stop.is_set() and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
-    if run.done == recipe.steps == recipe.all_steps:  # no steps for the heads: only the statistics are taken
+    if run.done == recipe.steps == recipe.all_steps:  # no settle steps: only the statistics are computed
         _settle(run, crops.of_statistics())
     return run.net.eval().requires_grad_(True)
 
 
 def _settle(run: _Run, crops: Iterator[Crop]) -> None:
-    """From here on the network is as at inference, but for the heads."""
+    """Compute the batch norm statistics once, then freeze all but the heads: features are as at inference."""
     if run.recipe.statistics_crops and run.done == run.recipe.steps:
         chosen = list(islice(crops, run.recipe.statistics_crops))
         clouds = [torch.from_numpy(crop.points).to(run.compute.device) for crop in chosen]
@@ -193,7 +189,7 @@ def _settle(run: _Run, crops: Iterator[Crop]) -> None:
 
 
 def _train_step(run: _Run, step: int, examples: list[Example]) -> dict[str, float]:
-    """One optimiser step; returns the weighted parts of the loss and the learning rate. Raises InputError: a NaN."""
+    """Run one optimiser step. Returns loss parts and learning rate. Raises InputError for a loss that is not finite."""
     recipe, device = run.recipe, run.compute.device
     rate, momentum = one_cycle(step, recipe)
     for group in run.optimiser.param_groups:
@@ -203,7 +199,7 @@ def _train_step(run: _Run, step: int, examples: list[Example]) -> dict[str, floa
     with run.compute.autocast(recipe.bfloat16):
         features = run.net.features(clouds, windows, pillars)
         loss, parts = batch_loss(run.objective, run.net.heads, features, [own.targets for own in examples])
-    if not all(map(math.isfinite, parts.values())):  # from here on every weight would be NaN
+    if not all(map(math.isfinite, parts.values())):  # the step would make every weight NaN
         remedy = "Give a smaller recipe.peak_rate=, and another out="
         raise InputError(f"the loss of step {step + 1} is not finite", str(run.file), remedy)
     run.optimiser.zero_grad(set_to_none=True)

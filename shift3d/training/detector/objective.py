@@ -1,4 +1,4 @@
-"""The loss of a batch: class logits everywhere, boxes at the cells that have one."""
+"""Loss of a batch: class logits at every cell, boxes at the cells that have a vehicle."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from shift3d.training.detector.centre_objective import CentreObjective
 from shift3d.training.detector.recipe import Recipe
 
 Objective = AnchorObjective | CentreObjective
-"""Of one kind of heads: targets of a crop, the cells whose box is trained, and the loss there."""
+"""Objective of one kind of heads: targets of a crop, the cells whose box is trained, and the loss."""
 
 
 def objective_of(recipe: Recipe) -> Objective:
-    """The objective of a recipe's heads."""
+    """Return the objective for the heads of a recipe."""
     return CentreObjective(recipe) if recipe.heads == "centres" else AnchorObjective(recipe)
 
 
 def each_field(target: Any, change: Callable[[Any], Any]) -> Any:
-    """Targets whose fields are changed alike: put on a device, or made arrays."""
+    """Return targets with `change` applied to every field: moved to a device, or converted to an array."""
     return replace(target, **{item.name: change(getattr(target, item.name)) for item in fields(target)})
 
 
 def batch_loss(
     objective: Objective, heads: BoxHeads, features: Tensor, targets: Sequence[Any]
 ) -> tuple[Tensor, dict[str, float]]:
-    """Mean over the batch, and its weighted parts. features: (B, C, h, w). Differentiable w.r.t. features and weights.
+    """Compute the mean loss and its weighted parts. features: (B, C, h, w). Differentiable w.r.t. features and weights.
 
-    Logits and boxes are taken in the weights' precision, whatever that of the features. Boxes are computed at the
-    trained cells alone: the heads' way back over all cells was a twelfth of a step.
+    Logits and boxes have the weights' precision, whatever that of the features. Boxes are computed at the trained cells
+    alone: the backward pass of the heads over all cells took a twelfth of a step.
     """
     parts: dict[str, Tensor] = {}
     positives = 0

@@ -1,8 +1,8 @@
-"""Ground-truth sampling: vehicles of other scenes, with the points that were measured on them, put into a scene.
+"""Ground-truth sampling: vehicles of other scenes, with their measured points, are pasted into a scene.
 
-Source: SECOND (Yan et al. 2018), section 3.4. Our choice beyond it: a vehicle may stand anywhere at its range or
-beyond, turned about the sensor so that it is seen from the same side, on the ground that is there, with points thinned
-by the square of the distance; points behind it go, and so do its own where something nearer hides them.
+Source: SECOND (Yan et al. 2018), section 3.4. Our choice beyond it: a vehicle is placed anywhere at its range or
+beyond, rotated about the sensor so that the same side is seen, on the local ground. Points are thinned by the square of
+the distance; points behind the vehicle and hidden points on it are removed.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from shift3d.training.processes import each
 
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
-CLEARANCE_M = 0.25  # above the ground: whatever rises higher is in the way
+CLEARANCE_M = 0.25  # above the ground: higher points block a place
 GROUND_RADIUS_M, GROUND_POINTS = 3.0, 4
 TRIES = 3
 BIN_RAD = np.deg2rad(0.8)
-HIDDEN_M = 2.0  # something nearer by more than this hides a point
+HIDDEN_M = 2.0  # a point nearer by more than this hides another
 
 
 @dataclass(frozen=True)
 class VehicleDatabase:
-    """Vehicles with their points, by rising range.
+    """Vehicles with their points, in order of ascending range.
 
     boxes: (V, 7) float32, network frame. range_m: (V,) horizontal. points: V arrays (n, 3), network frame.
     """
@@ -42,7 +42,7 @@ class VehicleDatabase:
 
     @classmethod
     def of(cls, files: Sequence[Path], min_points: int, workers: int = 1) -> VehicleDatabase:
-        """Of cached scenes: every vehicle with enough points. Kept in memory: some 40 MB for 600 scenes."""
+        """Collect every vehicle with enough points from cached scenes. In memory: some 40 MB for 600 scenes."""
         boxes: list[Floats] = []
         points: list[Floats] = []
         for own, theirs in each(partial(_vehicles_of, min_points=min_points), files, workers):
@@ -55,7 +55,7 @@ class VehicleDatabase:
 
 
 def _vehicles_of(file: Path, min_points: int) -> tuple[list[Floats], list[Floats]]:
-    """Boxes and points of a cached scene's vehicles."""
+    """Return boxes and points of a cached scene's vehicles with enough points."""
     scene = load_cached(file)
     inside = points_in_boxes(scene.points, scene.boxes, MARGIN_M)
     kept = np.flatnonzero(inside.sum(axis=1) >= min_points)
@@ -71,7 +71,7 @@ def pasted(
     min_points: int,
     rng: np.random.Generator,
 ) -> TrainingScene:
-    """The scene with up to `augmentation.pasted` more vehicles within reach_m (in x and y) of a centre (x, y)."""
+    """Paste up to `augmentation.pasted` vehicles within reach_m (in x and y) of a centre (x, y) into the scene."""
     for _ in range(int(rng.integers(augmentation.pasted + 1))):
         for _ in range(TRIES):
             place = centre + rng.uniform(-reach_m, reach_m, 2)
@@ -99,7 +99,7 @@ def _vehicle_at(
     augmentation: Augmentation,
     rng: np.random.Generator,
 ) -> tuple[Floats, Floats] | None:
-    """Points and box of a vehicle that stands there on the ground, clear of everything, or None."""
+    """Place a random vehicle on the ground. Returns its points and box; None if it is not clear of everything."""
     range_m, (closest, farthest) = float(np.hypot(*place)), augmentation.pasted_range
     first, last = np.searchsorted(database.range_m, (range_m / farthest, range_m / closest))
     if first == last:
@@ -114,7 +114,7 @@ def _vehicle_at(
     close &= np.abs(scene.points[:, 1] - y) < GROUND_RADIUS_M
     around = scene.points[close]
     if len(around) < GROUND_POINTS:
-        return None  # out of sight
+        return None  # the sensor does not see the ground there
     ground = float(np.percentile(around[:, 2], 10))
     points = points[rng.random(len(points)) < (database.range_m[row] / range_m) ** 2]
     turn = float(np.arctan2(place[1], place[0]) - np.arctan2(box[1], box[0]))
@@ -131,13 +131,13 @@ def _vehicle_at(
 
 
 def behind_box(points: Floats, origin: npt.NDArray[np.float64], box: Floats) -> Flags:
-    """(N,) bool: points in a box, or that a sensor at `origin` would see through it. Exact: a slab test of the beam."""
+    """Return a mask (N,) of points in a box or behind it as seen from `origin`. Exact: a slab test of each beam."""
     to_box = float(np.arctan2(box[1] - origin[1], box[0] - origin[0]))
     distance, radius = float(np.hypot(*(box[:2] - origin[:2]))), float(np.hypot(box[3], box[4])) / 2 + MARGIN_M
     cos, sin = np.float32(np.cos(to_box)), np.float32(np.sin(to_box))
     x, y = points[:, 0] - np.float32(origin[0]), points[:, 1] - np.float32(origin[1])
     ahead, across = cos * x + sin * y, np.abs(cos * y - sin * x)
-    # Beams that meet the circle around the footprint, beyond its near side: the others need no test.
+    # Only returns beyond the near side of the circle around the footprint, on beams that meet it, need the test.
     wide = np.float32(radius / max(1e-3, (max(0.0, distance**2 - radius**2)) ** 0.5))
     rows = np.flatnonzero((ahead > np.float32(distance - radius)) & (across <= wide * ahead + np.float32(1e-3)))
     offset = points[rows] - origin
@@ -147,7 +147,7 @@ def behind_box(points: Floats, origin: npt.NDArray[np.float64], box: Floats) -> 
     half = box[3:6].astype(np.float64) / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         one, two = (-half - start) / beam, (half - start) / beam
-    enter = np.fmin(one, two).max(axis=1)  # shares of the way to the point
+    enter = np.fmin(one, two).max(axis=1)  # fractions of the range to the point
     leave = np.fmax(one, two).min(axis=1)
     result = np.zeros(len(points), dtype=bool)
     result[rows[(enter <= leave) & (enter <= 1.0) & (leave >= 0.0)]] = True
@@ -155,7 +155,7 @@ def behind_box(points: Floats, origin: npt.NDArray[np.float64], box: Floats) -> 
 
 
 def _hidden(points: Floats, scene: Floats, origin: npt.NDArray[np.float64]) -> Flags:
-    """(n,) bool: points for which another, nearer to the sensor by HIDDEN_M, lies in the same direction."""
+    """Return a mask (n,) of points hidden by a scene point in the same direction, nearer to the sensor by HIDDEN_M."""
     if not len(points):
         return np.zeros(0, dtype=bool)
     offset = points - origin
@@ -174,7 +174,7 @@ def _hidden(points: Floats, scene: Floats, origin: npt.NDArray[np.float64]) -> F
 
 
 def _directions(offset: npt.NDArray[np.floating], middle: float) -> npt.NDArray[np.int64]:
-    """(n,) cells of azimuth, from `middle` on, and elevation, as one number."""
+    """Return cells (n,) of azimuth, relative to `middle`, and elevation, encoded as one number."""
     cos, sin = np.cos(middle), np.sin(middle)
     azimuth = np.arctan2(cos * offset[:, 1] - sin * offset[:, 0], cos * offset[:, 0] + sin * offset[:, 1])
     elevation = np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1]))

@@ -1,4 +1,4 @@
-"""A recipe of detector training: everything that decides the weights, beside the scenes."""
+"""Recipe of detector training: everything that decides the weights, beside the scenes."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from shift3d.detectors.models.sst import SstNet, SstSpec
 from shift3d.errors import InputError
 
 Range = tuple[float, float]
-"""(low, high) of a uniform draw; equal ends are a constant."""
+"""Bounds (low, high) of a uniform draw; equal bounds are a constant."""
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How a crop differs from the scene that it is cut from. Metres, radians, shares in [0, 1].
+    """Random differences between a crop and its scene. Metres, radians, shares in [0, 1].
 
     turn_rad, scale, flip: rotation about the sensor, global scaling, and the share of mirrored crops. object_scale:
-    each vehicle's own scaling about the middle of its bottom face; Source: random object scaling of ST3D (Yang et al.
-    2021), against a size prior. object_stretch: its own factors of length, width and height beside that, so that no
-    proportion is that of one family (our choice). shift_m: in x and y, either way. ground_shift_m, ground_slope: height
-    of the nominal ground, and the slope of half of the crops, so that boxes stand on the ground that is seen.
+    scaling of each vehicle about the middle of its bottom face; Source: random object scaling of ST3D (Yang et al.
+    2021), against a size prior. object_stretch: further factors of length, width and height, so that no proportion is
+    that of one family (our choice). shift_m: largest shift in x and y. ground_shift_m, ground_slope: height of the
+    nominal ground, and the largest slope of half of the crops; boxes stay on the visible ground.
 
-    kept_points: share of points kept, in half of the crops. dropped_lines: share of crops that lose whole scan lines,
-    kept_line_in: one of how many lines stays (or is the one to go). range_noise_m: standard deviation along the beam.
-    swallowed: share of vehicles that lose part of their returns, as to glass or dark paint.
+    kept_points: share of points kept, in half of the crops. dropped_lines: share of crops that lose whole scan lines.
+    kept_line_in: range of n, where one line in n stays (or is dropped). range_noise_m: standard deviation along the
+    beam. swallowed: share of vehicles that lose part of their returns, as to glass or dark paint.
 
-    pasted: vehicles of other scenes put into a crop's scene, at most; Source: ground-truth sampling of SECOND (Yan et
-    al. 2018), section 3.4. pasted_range: how much farther they may stand than they were seen, points thinned by the
-    square. range_bins_m: edges of the bins of which a crop's vehicle is drawn alike, whatever they hold.
+    pasted: largest number of vehicles of other scenes pasted into a crop's scene; Source: ground-truth sampling of
+    SECOND (Yan et al. 2018), section 3.4. pasted_range: factors from the measured to the new range; points are thinned
+    by the square. range_bins_m: edges of range bins; every non-empty bin gives a crop's vehicle with equal probability.
     """
 
     turn_rad: Range = (-pi, pi)
@@ -56,7 +56,7 @@ class Augmentation:
     range_bins_m: tuple[float, ...] = (0.0, 30.0, 50.0, 75.0)
 
     def validate(self, where: str) -> None:
-        """Refuse empty ranges and shares that are none. Raises: InputError naming the field."""
+        """Refuse empty ranges and shares outside [0, 1]. Raises: InputError naming the field."""
         sizes = ("scale", "object_scale", "object_stretch")
         for name in ("turn_rad", *sizes, "ground_shift_m", "kept_points", "range_noise_m"):
             _check_range(name, getattr(self, name), where)
@@ -80,26 +80,26 @@ class Augmentation:
 class Recipe:
     """Everything that decides the trained weights, beside the scenes. Threads are not part of it.
 
-    network, heads: sizes of the detector and what it predicts against, which say together what it is. anchor_size_m:
+    network, heads: sizes of the network, and kind of its heads; together they define the detector. anchor_size_m:
     length, width, height of the anchors: the means of published cars. grown_from: name of a detector whose shipped
-    weights, doubled in width and depth, are the start; see `growing`. backbone_from: name of a detector whose shipped
-    encoder and backbone are the start, under heads of random weights.
+    weights, doubled in width and depth, are the start; see `warm_start.grown`. backbone_from: name of a detector whose
+    shipped encoder and backbone are the start, under heads of random weights.
 
-    steps: optimiser steps; the first `mesh_only_steps` use streets alone, after which each crop comes from a scene
-    with inserted vehicles with probability `inserted_share`. crop_cells: side of the square crops, trained to their
-    edges: what lies there is what lies at the grid's edge; batch: crops a step; jitter_m: how far a crop's centre lies
-    from the vehicle it was chosen for; empty_share: of crops cut anywhere. min_points: a vehicle with fewer is neither
-    sought nor background. bfloat16: take large products in half the bytes, where the processor has instructions for it.
+    steps: optimiser steps. The first `mesh_only_steps` use scenes without inserted vehicles; later each crop comes from
+    a scene with inserted vehicles with probability `inserted_share`. crop_cells: side of the square crops, trained to
+    their edges, which look like the grid's edges. batch: crops per step. jitter_m: largest offset in x and y of a
+    crop's centre from its vehicle. empty_share: share of crops cut anywhere. min_points: a vehicle with fewer points is
+    neither a target nor background. bfloat16: compute large products in half the bytes where the processor can.
 
-    box_weight, direction_weight: of these losses beside that of the class; directions and anchor_size_m are of anchors
-    alone. code_weights: of the seven values of a box (x, y, z, length, width, height, heading). box_beta: where the box
-    loss of anchors turns from square to linear.
-    centre_radius: cells around a vehicle's centre that regress its box, centres only.
+    box_weight, direction_weight: loss weights relative to the class loss; directions and anchor_size_m apply to anchors
+    alone. code_weights: weights of the seven values of a box (x, y, z, length, width, height, heading). box_beta: error
+    at which the box loss of anchors turns from quadratic to linear. centre_radius: cells around a vehicle's centre that
+    regress its box, centres only.
 
-    statistics_crops: crops of which batch norms take their statistics after `steps`, in one batch, so that every
-    layer has exactly those of inference; 0: the running means of training. settle_steps: steps after that, in which
-    all heads alone go on, from `settle_rate` down, on features as inference has them. In training a batch norm takes
-    the statistics of two crops, and what heads learn there is off by the difference (our choice).
+    statistics_crops: crops whose single batch gives the batch norms' statistics after `steps`, so that every layer has
+    exactly the statistics of inference; 0: the running means of training. settle_steps: steps after that, which train
+    the heads alone, from `settle_rate` down, on features as at inference. During `steps` a batch norm uses the
+    statistics of one small batch, and the heads learn with the difference (our choice).
     """
 
     network: BackboneSpec | SstSpec = WAYMO_BACKBONE
@@ -135,18 +135,18 @@ class Recipe:
 
     @property
     def all_steps(self) -> int:
-        """Steps, with those of the heads alone."""
+        """Number of steps, including the settle steps of the heads."""
         return self.steps + self.settle_steps
 
     @property
     def detector(self) -> str:
-        """Name of the detector that these sizes and heads belong to."""
+        """Name of the detector with these sizes and heads."""
         if isinstance(self.network, SstSpec):
             return self.network.name
         return "pointpillars" if self.heads == "anchors" else "centerpoint"
 
     def new_network(self) -> DetectorNet:
-        """An untrained network, from torch's global random state."""
+        """Make an untrained network from torch's global random state."""
         anchors = AnchorSpec(self.anchor_size_m)
         if isinstance(self.network, SstSpec):
             return SstNet(self.network, anchors=anchors)
@@ -155,7 +155,7 @@ class Recipe:
         return PointPillarsNet(self.network, anchors=anchors)
 
     def validate(self, where: str = "recipe") -> Recipe:
-        """The recipe itself. Raises: InputError naming the first field that cannot be trained by."""
+        """Check the recipe and return it. Raises: InputError naming the first invalid field."""
         possible = ("anchors", "centres") if isinstance(self.network, BackboneSpec) else ("anchors",)
         _check(self.heads in possible, "heads", self.heads, where, "Give anchors, or for the pillar backbone centres")
         weights = self.code_weights

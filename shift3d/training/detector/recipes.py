@@ -1,4 +1,4 @@
-"""The recipes of the shipped detectors, how words change one, and the learning rate along its steps."""
+"""Recipes of the shipped detectors, changes of a recipe by text options, and the learning rate of each step."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from shift3d.detectors.models.sst import SST_SMALL_SPEC, SST_SPEC
 from shift3d.errors import InputError
 from shift3d.training.detector.recipe import Augmentation, Recipe
 
-# Attention costs by the token and the dense layers by the cell, so that small crops around vehicles teach most for the
-# time; weight decay is the published one, the peak rates fit batches of two (our choice).
+# Attention costs per token and dense layers per cell, so small crops around vehicles teach most per second. The weight
+# decay is the published one; the peak rates suit batches of two (our choice).
 _SST_SMALL = Recipe(
     network=SST_SMALL_SPEC,
     steps=14_000,
@@ -24,10 +24,10 @@ _SST_SMALL = Recipe(
     warm_up_share=0.05,
     settle_rate=1e-4,
 )
-# Sizes down to those of the smallest cars, in no family's proportions.
+# Sizes down to the smallest cars, with proportions of no single family.
 _VARIED = Augmentation(pasted=8, object_scale=(0.75, 1.08), object_stretch=(0.88, 1.15))
 _HEADING_TWICE = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0)
-# Each of the two pillar detectors starts from the backbone that the other one's training left.
+# Each of the two pillar detectors starts from the trained backbone of the other.
 _PILLARS = Recipe(augmentation=_VARIED, mesh_only_steps=0, code_weights=_HEADING_TWICE)
 RECIPES: dict[str, Recipe] = {
     "pointpillars": replace(
@@ -50,8 +50,8 @@ RECIPES: dict[str, Recipe] = {
         settle_steps=100,
         peak_rate=2e-3,
     ),
-    # From random weights the published size learns too slowly for two cores: after 4,750 steps at 3e-4 its loss was
-    # class 0.53, box 0.45; the small one's was 0.33, 0.37 then.
+    # From random weights the published size learns too slowly on two cores: after 4,750 steps at 3e-4 its losses were
+    # class 0.53, box 0.45; those of sst_small were 0.33, 0.37 at that step.
     "sst": replace(
         _SST_SMALL,
         network=SST_SPEC,
@@ -67,7 +67,7 @@ RECIPES: dict[str, Recipe] = {
 
 
 def one_cycle(step: int, recipe: Recipe) -> tuple[float, float]:
-    """(learning rate, first momentum) of a step: cosine up and down again, then down once more for the heads.
+    """Return (learning rate, first momentum) of a step: a cosine cycle up and down, then a cosine down for the heads.
 
     Source: one-cycle as in SECOND's public code (rate from a tenth of the peak, momentum 0.95 to 0.85).
     """
@@ -83,7 +83,7 @@ def one_cycle(step: int, recipe: Recipe) -> tuple[float, float]:
 
 
 def scaled_to_steps(recipe: Recipe, steps: int) -> Recipe:
-    """The recipe with another number of steps, its shares kept; with 0 only the steps of the heads."""
+    """Return the recipe with another number of steps in the same proportions; 0 leaves only the steps of the heads."""
     if steps == 0:
         return replace(recipe, steps=0, mesh_only_steps=0)
     share = steps / recipe.steps
@@ -92,11 +92,11 @@ def scaled_to_steps(recipe: Recipe, steps: int) -> Recipe:
 
 
 def changed(recipe: Recipe, words: Mapping[str, str]) -> Recipe:
-    """The recipe with fields of its own or of its augmentation as given: {"pasted": "0", "scale": "1,1"}.
+    """Return the recipe with the given fields of it or of its augmentation: {"pasted": "0", "scale": "1,1"}.
 
-    Values are numbers, true or false, or numbers with commas between them where the field holds several.
-    Raises: InputError for a field that does not exist or that words cannot give, for a value of another kind, and for
-        what `Recipe.validate` refuses.
+    Values are numbers, true or false, or comma-separated numbers for a field of several.
+    Raises: InputError for a field that does not exist or that text cannot give, for a value of the wrong type, and for
+    what `Recipe.validate` refuses.
     """
     own = _settable(recipe)
     inner = _settable(recipe.augmentation)
@@ -110,7 +110,7 @@ def changed(recipe: Recipe, words: Mapping[str, str]) -> Recipe:
 
 
 def _settable(record: Recipe | Augmentation) -> dict[str, Any]:
-    """Fields of plain values, with their present ones."""
+    """Return the fields of plain types with their present values."""
     values = {item.name: getattr(record, item.name) for item in fields(record)}
     return {name: value for name, value in values.items() if isinstance(value, bool | int | float | tuple)}
 

@@ -29,8 +29,7 @@ from shift3d.training.progress import Report, curve_facts
 from shift3d.training.provenance import read_provenance, write_provenance
 from shift3d.vehicles.family.split import SPLIT
 
-TRAFFIC = "wide"
-"""Whose vehicles training streets and insertions have: the wide family's seen kinds."""
+TRAFFIC = "wide"  # family of the vehicles in training streets and insertions, seen kinds only
 
 
 @subnormals_as_before()
@@ -43,19 +42,19 @@ def train_detector(
     compute: Compute = ONE_THREAD,
     report: Report | None = None,
 ) -> None:
-    """The whole recipe: make scenes, train on them, then on those with inserted vehicles too, export.
+    """Run the whole recipe: make scenes, train on them, then on those with inserted vehicles too, export.
 
     Args:
-        out_dir: scenes, checkpoint and weights; an interrupted training goes on from there.
-        weights_file: where the safetensors go, and their provenance as JSON (default out_dir/<detector>.safetensors).
-        scenes: labelled scenes to train on, default the shipped recipe's procedural streets. Of each only the
-            labelled sector is used, see :func:`~shift3d.training.detector_scenes.from_scene`.
-        start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
-        compute: default the CPU, one thread; with another number of threads the weights agree to rounding, not to the
-            bit. report: see :func:`train_on_scenes`.
-    Raises: InputError when the recipe cannot be trained by, weights to start from are missing, the scenes hold no
-        vehicle, the checkpoint is of another recipe, other scenes or another start, or the training diverges: then
-        weights_file stays as it was; KeyboardInterrupt when asked to stop.
+        out_dir: folder of scenes, checkpoint and weights; an interrupted training resumes from it.
+        weights_file: safetensors file, with provenance as JSON beside it (default out_dir/<detector>.safetensors).
+        scenes: labelled scenes to train on, default the shipped recipe's procedural streets. Only the labelled sector
+            of each is used, see :func:`~shift3d.training.detector_scenes.from_scene`.
+        start_from: weights to start from instead of random weights or of the recipe's own start.
+        compute: default the CPU, one thread; another number of threads changes the weights by rounding.
+        report: see :func:`train_on_scenes`.
+    Raises: InputError when the recipe is invalid, weights to start from are missing, the scenes hold no vehicle, the
+    checkpoint is of another recipe, other scenes or another start, or the training diverges: then weights_file stays as
+    it was; KeyboardInterrupt when asked to stop.
     """
     recipe.validate()
     begun_with = start_file(recipe, start_from)
@@ -81,7 +80,7 @@ def train_detector(
 
 
 def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
-    """What stands in a checkpoint for scenes and start."""
+    """Return the text that identifies scenes and start weights in a checkpoint."""
     parts = [f"{SHIPPED_DATA}-{TRAFFIC}" if scenes is None else f"{scenes.dataset}-{_digest(scenes)}"]
     if start_from is not None and start_from.is_file():
         parts.append(hashlib.blake2b(start_from.read_bytes(), digest_size=8).hexdigest())
@@ -89,13 +88,13 @@ def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
 
 
 def _digest(scenes: SceneSet) -> str:
-    """64 bits, hex, that change with the scenes and with the state of their files."""
+    """Return a 64-bit hex digest that changes with the scenes and with the state of their files."""
     text = json.dumps([scenes.dataset, [scenes.source(name) for name in scenes.names()]])
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def _made_of(recipe: Recipe, scenes: SceneSet | None) -> dict[str, Any]:
-    """The scenes and vehicles of a training, for its provenance."""
+    """Return the scenes and vehicles of a training, for its provenance."""
     names = [] if scenes is None else scenes.names()
     street = {"dataset": f"street-mixed-{TRAFFIC}", "split": "train", "count": recipe.mesh_scenes}
     return {
@@ -105,7 +104,7 @@ def _made_of(recipe: Recipe, scenes: SceneSet | None) -> dict[str, Any]:
 
 
 def training_facts(out_dir: Path, recipe: Recipe, compute: Compute) -> dict[str, Any]:
-    """What a provenance says of any training: recipe, steps, machine, time and curve, from its last checkpoint."""
+    """Return the provenance of any training from its last checkpoint: recipe, steps, machine, time and curve."""
     state = read_checkpoint(out_dir / CHECKPOINT)
     return {
         "model": recipe.detector,
@@ -118,12 +117,12 @@ def training_facts(out_dir: Path, recipe: Recipe, compute: Compute) -> dict[str,
 
 
 def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = True) -> None:
-    """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step.
+    """Write the weights atomically as safetensors, with the recipe in the metadata.
 
-    halved: matrices and kernels are stored in float16, to 2^-11 of each value (our choice: half the bytes). Biases and
-    batch statistics stay float32: variances go beyond what float16 holds.
+    halved: store matrices and kernels in float16, to 2^-11 of each value (our choice: half the bytes). Biases and batch
+    statistics stay float32: variances exceed the range of float16.
 
-    Raises: InputError where `load_weights` would refuse them, or the disk is full; the file stays as it was.
+    Raises: InputError if `load_weights` would refuse the weights, or the disk is full; the file stays as it was.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
     if halved:
@@ -136,7 +135,7 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
 
 
 def mesh_scene_files(out_dir: Path, count: int, workers: int = 1) -> list[Path]:
-    """Cached procedural scenes of both sensors, split train, with vehicles of the wide family's seen kinds."""
+    """Return cached procedural scenes of both sensors, split train, with vehicles of the wide family's seen kinds."""
     scenes = StreetScenes("mixed", count=count, split="train", options=StreetOptions(traffic=TRAFFIC))
     build = partial(_labelled_scene, scenes)
     return cache_scenes(out_dir / f"{TRAFFIC}-train", scenes.names(), build, "street scenes", workers)
@@ -147,7 +146,7 @@ def _labelled_scene(scenes: SceneSet, name: str) -> TrainingScene:
 
 
 def scene_files(out_dir: Path, scenes: SceneSet, workers: int = 1) -> list[Path]:
-    """Cached scenes of any set, cut to their labelled sector, in the order of its names.
+    """Return cached scenes of any set, cut to their labelled sector, in the order of its names.
 
     Raises: InputError for a frame that cannot be read, or when no scene holds a vehicle.
     """
@@ -160,9 +159,8 @@ def scene_files(out_dir: Path, scenes: SceneSet, workers: int = 1) -> list[Path]
 
 
 def inserted_scene_files(out_dir: Path, base: Sequence[Path], recipe: Recipe, workers: int = 1) -> list[Path]:
-    """Cached scenes with more vehicles of the wide family's seen kinds in the base scenes, in their order."""
-    # Scenes of another set must not be taken for those of the streets when both were made in one folder.
-    # What is inserted depends on the seed, and on which scenes there are to insert into.
+    """Return cached scenes: the base scenes in turn, with inserted vehicles of the wide family's seen kinds."""
+    # Insertions depend on the seed and on the base scenes; the name keeps scene sets in one out_dir apart.
     folder = out_dir / f"inserted-{base[0].parent.name}-{len(base)}-{recipe.seed}"
     names = [f"inserted-{index:05d}" for index in range(recipe.inserted_scenes)]
     build = partial(_inserted_scene, tuple(base), recipe.seed)

@@ -1,13 +1,13 @@
-"""What a training starts from: weights of the same detector, of a smaller one, or another's encoder and backbone.
+"""Start weights of a training: of the same detector, of a smaller one, or another's encoder and backbone.
 
-`grown`: SST at its published size out of a trained one of half the width and depth, which computes nearly the same.
+`grown` makes SST at its published size from trained weights of half the width and depth; both compute nearly the same.
 
-Twelve layers with a norm behind each learn slowly from random weights: on two cores 4,750 steps, 40 minutes, left the
-loss of the classes where the small network's was after 1,400. Grown from that one they begin where it ended.
+Twelve layers, each followed by a norm, learn slowly from random weights: 4,750 steps (40 minutes on two cores) reached
+the class loss that the small network had after 1,400. A grown network begins where the small one ended.
 
-Source: Net2Net (Chen et al. 2016): every channel stands twice and what reads it shares its weight between the two, in
-random shares, so that the duplicates part in training. New layers between add nothing at first (out and narrow are
-zero).
+Source: Net2Net (Chen et al. 2016): every channel is duplicated, and the layer that reads it divides its weight between
+the duplicates in random shares, so that they diverge in training. New layers between add nothing at first, because
+their out and narrow weights are zero.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ HEADS = "heads."
 
 
 def start_file(recipe: Recipe, start_from: Path | None) -> Path | None:
-    """The weights file that a training starts from, None where it begins with random weights."""
+    """Return the weights file that a training starts from; None for random weights."""
     if start_from is not None:
         return start_from
     name = recipe.grown_from or recipe.backbone_from
@@ -37,9 +37,9 @@ def start_file(recipe: Recipe, start_from: Path | None) -> Path | None:
 
 
 def start_state(recipe: Recipe, start_from: Path | None) -> Mapping[str, Tensor] | None:
-    """The state dict that training starts from, None for random weights.
+    """Return the state dict that training starts from; None for random weights.
 
-    start_from: weights of the recipe's own detector; None: what the recipe names.
+    start_from: weights of the recipe's own detector; None: the start that the recipe names.
     Raises: InputError for missing or bad weights.
     """
     if start_from is not None:
@@ -63,15 +63,15 @@ def _own_anchors(state: Mapping[str, Tensor], recipe: Recipe) -> dict[str, Tenso
 
 
 def with_anchor_size(state: Mapping[str, Tensor], size_m: tuple[float, float, float]) -> dict[str, Tensor]:
-    """The state dict of an anchor detector that draws the same boxes against anchors of another size.
+    """Convert the state dict of an anchor detector to anchors of another size; the predicted boxes stay the same.
 
-    Codes are linear in the features, and codes against one anchor are linear in those against another: see
-    `anchor_heads`. In float64, to the rounding of float32.
+    Codes are linear in the features, and codes against one anchor are linear in codes against another: see
+    `anchor_heads`. Computed in float64; exact to the rounding of float32.
     """
     old, new = state[ANCHOR_SIZE].double(), torch.tensor(size_m, dtype=torch.float64)
     across = torch.hypot(old[0], old[1]) / torch.hypot(new[0], new[1])
     gain = torch.tensor((across, across, old[2] / new[2], 1.0, 1.0, 1.0, 1.0), dtype=torch.float64)
-    higher = (old[2] - new[2]) / 2.0 / new[2]  # anchors stand on the ground: their centres differ by half of that
+    higher = (old[2] - new[2]) / 2.0 / new[2]  # anchors stand on the ground: centres differ by half the height
     shift = torch.tensor((0.0, 0.0, higher, *torch.log(old / new), 0.0), dtype=torch.float64)
     weight, bias = state["heads.boxes.weight"].double(), state["heads.boxes.bias"].double()
     anchors = len(bias) // len(gain)
@@ -85,7 +85,7 @@ def with_anchor_size(state: Mapping[str, Tensor], size_m: tuple[float, float, fl
 
 
 def doubled(spec: SstSpec, name: str) -> SstSpec:
-    """The sizes with twice the width, heads and blocks."""
+    """Return the spec with twice the width, heads, blocks and channels."""
     twice = {size: 2 * getattr(spec.transformer, size) for size in ("width", "heads", "feed_forward", "blocks")}
     hidden, channels = 2 * spec.encoder_hidden, 2 * spec.out_channels
     transformer = replace(spec.transformer, **twice)
@@ -93,12 +93,12 @@ def doubled(spec: SstSpec, name: str) -> SstSpec:
 
 
 def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0) -> dict[str, Tensor]:
-    """The state dict of a network of twice the sizes that computes nearly what a small one does.
+    """Build the state dict of a network of twice the sizes that computes nearly what the small network does.
 
     Args:
         small: the state dict of a network of sizes `spec`. to: `doubled` sizes. seed: of shares and new layers.
-    What is not exact: a new layer's norms stand for the identity by the mean and the size of what the norm before them
-    gives, which differ from token to token.
+    Not exact: the norms of a new layer approximate the identity by the mean and size of the preceding norm's output,
+    which differ from token to token.
     Raises: ValueError for sizes that are not twice those of spec.
     """
     if to != doubled(spec, to.name):
@@ -109,7 +109,7 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
     draw = torch.Generator().manual_seed(seed)
     width = spec.transformer.width
     token, heads = _token_duplicates(width), _head_duplicates(width, spec.transformer.heads)
-    by_code = torch.arange(2 * width) % 4 < 2  # of a channel's duplicates, the one at the small network's position code
+    by_code = torch.arange(2 * width) % 4 < 2  # the duplicate at the small network's position code
 
     def wide(name: str, rows: Tensor | None, columns: Tensor | None = None, first_only: Tensor | None = None) -> Tensor:
         tensor = small[name]
@@ -118,7 +118,7 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
 
     hidden = _duplicates(spec.encoder_hidden)
     state |= {"encoder.first.weight": wide("encoder.first.weight", hidden)}
-    both = torch.cat((hidden, hidden + spec.encoder_hidden))  # each point, and its pillar's maximum
+    both = torch.cat((hidden, hidden + spec.encoder_hidden))  # features of each point, and its pillar's maximum
     state |= {"encoder.second.weight": wide("encoder.second.weight", token, both)}
     state |= _norm(small, "encoder.first_norm", hidden) | _norm(small, "encoder.second_norm", token)
     forward = _duplicates(spec.transformer.feed_forward)
@@ -156,30 +156,30 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
 
 
 def _duplicates(channels: int) -> Tensor:
-    """Of which small channel each of twice as many is a duplicate: 0, 0, 1, 1, ..."""
+    """Return the small channel that each of twice as many channels duplicates: 0, 0, 1, 1, ..."""
     return torch.arange(2 * channels) // 2
 
 
 def _token_duplicates(width: int) -> Tensor:
-    """Duplicates of a token's channels, of which the first stands where the position codes have the small one's rate.
+    """Return the small channel of each token channel; first duplicates have the small network's position codes.
 
-    The codes are sine and cosine in turn, of twice as many rates: the small network's are every second of them.
+    Position codes are sine and cosine in turn, at twice as many rates: every second rate is one of the small network.
     """
     channel = torch.arange(2 * width)
     return channel // 4 * 2 + channel % 2
 
 
 def _head_duplicates(width: int, heads: int) -> Tensor:
-    """Duplicates of the channels of attention, whole heads beside each other, so that its products are the same."""
+    """Return the small channel of each attention channel: duplicates are whole heads, so that products stay equal."""
     size = width // heads
     channel = torch.arange(2 * width)
     return channel // (2 * size) * size + channel % size
 
 
 def _shared(weight: Tensor, source: Tensor, draw: torch.Generator, first_only: Tensor | None) -> Tensor:
-    """Weights (out, in, ...) by the duplicates of their inputs, shared between the two so that the sum is the same.
+    """Divide weights (out, in, ...) between the duplicates of each input, so that the sum stays the same.
 
-    first_only: (2 in,) bool, the duplicates that get all of it, for weights (out, in).
+    first_only: (2 in,) bool, the duplicates that get the whole weight, for weights (out, in).
     """
     if first_only is not None:
         share = first_only.to(weight.dtype).expand(len(weight), -1)
@@ -192,14 +192,14 @@ def _shared(weight: Tensor, source: Tensor, draw: torch.Generator, first_only: T
 
 
 def _norm(small: Mapping[str, Tensor], name: str, rows: Tensor) -> dict[str, Tensor]:
-    """A batch norm's tensors, each channel twice."""
+    """Return a batch norm's tensors with every channel duplicated."""
     kinds = ("weight", "bias", "running_mean", "running_var")
     count = f"{name}.num_batches_tracked"
     return {f"{name}.{kind}": small[f"{name}.{kind}"][rows] for kind in kinds} | {count: small[count]}
 
 
 def _adding_nothing(state: Mapping[str, Tensor], layer: str, gain: Tensor, offset: Tensor) -> dict[str, Tensor]:
-    """What makes a layer nearly the identity on tokens that a norm with this gain and offset gave."""
+    """Return tensors that make a layer nearly the identity on outputs of a norm with this gain and offset."""
     parts = {f"{layer}{part}.{kind}" for part in ("out", "narrow") for kind in ("weight", "bias")}
     found = {name: torch.zeros_like(state[name]) for name in parts}
     size = (gain.square().mean() + offset.var(unbiased=False)).sqrt()

@@ -1,4 +1,4 @@
-"""From a training's checkpoint to the shipped weights: the decoder, the family's codes and the five baselines."""
+"""Export of a training checkpoint as shipped weights: the decoder, the family's codes and the five baselines."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ BASELINE_RESOLUTION = 129
 BASELINE_CANDIDATES = 8
 
 CODE_NORM = 0.8
-"""Mean length of the family's codes as shipped: they are scaled to it, and the decoder's code columns inversely.
+"""Mean length of the shipped family codes: codes are scaled to it, and the decoder's code columns inversely.
 
-The attack's step alpha = 0.01 is a length in code units, and the paper does not say how long its codes are. As
-trained ours have a mean norm of 0.26, and one step throws a code off the family. No shape depends on it. Our choice,
+The attack's step alpha = 0.01 is a length in code units, and the paper does not state the length of its codes. Our
+trained codes have a mean norm of 0.26, and one step throws a code off the family. Scaling changes no shape. Our choice,
 and a tuned one: four vehicles, one placement each, in the four test streets of the default sweep, 40 steps, lambda 1.
 Mean adversarial score over baseline, at norms 0.53, 0.69, 0.79 and 1.0: 0.54, 0.79, 0.62, 0.76 (height following the
 ground by at most 0.15 m); at 1.0 with the shipped 0.35 m: 0.79. Not monotonic: four objects are too few to rank these.
@@ -36,7 +36,7 @@ ground by at most 0.15 m); at 1.0 with the shipped 0.35 m: 0.79. Not monotonic: 
 
 
 def typical_indices(specs: list[VehicleSpec], body_type: str) -> list[int]:
-    """The vehicles of a body type, nearest first to the type's median, dimensions in units of their spread."""
+    """Return the vehicles of a body type, nearest to the type's median first, dimensions in units of their spread."""
     own = [index for index, spec in enumerate(specs) if spec.body_type == body_type]
     names = [field.name for field in dataclasses.fields(VehicleSpec) if field.name != "body_type"]
     table = np.array([[getattr(specs[index], name) for name in names] for index in own])
@@ -48,7 +48,7 @@ def typical_indices(specs: list[VehicleSpec], body_type: str) -> list[int]:
 def _baseline(
     decoder: Decoder, codes: torch.Tensor, specs: list[VehicleSpec], scales: NDArray[np.float64], body_type: str
 ) -> dict[str, Any]:
-    """The most typical vehicle of a body type that decodes to one piece; of the first few, the one in fewest."""
+    """Return the most typical vehicle of a body type that decodes to one piece, or else to the fewest pieces."""
     tried = []
     for index in typical_indices(specs, body_type)[:BASELINE_CANDIDATES]:
         mesh, scale_m = extract_mesh(decoder.field(codes[index]), BASELINE_RESOLUTION), float(scales[index])
@@ -69,7 +69,7 @@ def _baseline(
 
 
 def scaled_decoder(state: Mapping[str, Any]) -> tuple[Decoder, NDArray[np.float32], float]:
-    """The folded decoder and the codes of a checkpoint, these as long as CODE_NORM says, and by how much longer."""
+    """Return a checkpoint's folded decoder, its codes scaled to a mean length of CODE_NORM, and the scale factor."""
     decoder = Decoder()
     decoder.load_state_dict(state["decoder"])
     codes: NDArray[np.float32] = state["codes"].numpy().astype(np.float32)
@@ -81,7 +81,7 @@ def scaled_decoder(state: Mapping[str, Any]) -> tuple[Decoder, NDArray[np.float3
 def export_sdf(checkpoint: Path, target: Path) -> None:
     """Write sdf.safetensors, vehicles.safetensors and sdf.json (provenance) to the folder `target`, each atomically.
 
-    A baseline is the typical training vehicle of its body type; its object frame's origin is the centre of the box
+    A baseline is the typical training vehicle of its body type. The origin of its object frame is the centre of the box
     of its DECODED surface.
     Raises: InputError when the checkpoint is missing or unreadable.
     Source: SHIFT3D section "Experiments": five representative vehicles, scaled to realistic dimensions.

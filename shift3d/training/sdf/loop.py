@@ -1,4 +1,4 @@
-"""The loop of decoder training, resumable: a decoder, and the table of numbers that its codes are made of."""
+"""Resumable loop of decoder training: a decoder, and a table of numbers from which its codes are computed."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ WARM_STEPS = 200
 
 
 class DecoderRun(ABC):
-    """The state of one training: decoder, table, optimiser, step, losses, those since the last mean of them, seconds.
+    """State of one training: decoder, table, optimiser, step, mean losses, losses since the last mean, seconds.
 
-    table_name: of the table in the checkpoint. rates: of the network and of the table, see `set_rates`.
-    mixed: bfloat16 in the wide layers, where it pays.
+    table_name: key of the table in the checkpoint. rates: of the network and of the table, see `set_rates`. mixed:
+    bfloat16 in the wide layers, where it saves time.
     """
 
     table_name: str
@@ -45,25 +45,25 @@ class DecoderRun(ABC):
         self.step = 0
         self.losses: list[float] = []
         self.recent: list[float] = []
-        self.began_s = time.monotonic()  # as if there had been no interruption
+        self.began_s = time.monotonic()  # start time of an uninterrupted training
 
     @abstractmethod
     def batch(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Codes (S, code), points (S, P, 3) and distances (S, P) of this step, the same for the same step."""
+        """Return codes (S, code), points (S, P, 3) and distances (S, P) of this step, the same for the same step."""
 
     def penalty(self) -> Tensor | float:
-        """Added to the loss of the distances."""
+        """Return the term that is added to the loss of the distances."""
         return 0.0
 
     def set_rates(self) -> None:
-        """Cosine from the rates to nothing, after a short linear start."""
+        """Set the learning rates: a short linear warm-up, then a cosine from `rates` to zero."""
         warm = min(1.0, (self.step + 1) / WARM_STEPS)
         share = warm * 0.5 * (1.0 + math.cos(math.pi * self.step / self.recipe.steps))
         for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
             group["lr"] = rate * share
 
     def advance(self) -> float:
-        """One step; returns the loss of the distances."""
+        """Run one step. Returns the loss of the distances."""
         self.set_rates()
         clamp = self.recipe.clamp
         codes, points, distances = self.batch()
@@ -77,7 +77,7 @@ class DecoderRun(ABC):
         return float(data.detach())
 
     def state(self) -> dict[str, Any]:
-        """What a resumed training needs."""
+        """Return everything that a resumed training needs."""
         return {
             "recipe": asdict(self.recipe),
             "step": self.step,
@@ -104,10 +104,10 @@ class DecoderRun(ABC):
 
 
 def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -> None:
-    """All steps that are left of a run, or of the one in the checkpoint, which is replaced every so many steps.
+    """Run all remaining steps, from the checkpoint if there is one; replace the checkpoint every `every` steps.
 
-    Raises InputError: the checkpoint is of another recipe, or the loss is no number any more; KeyboardInterrupt when
-    asked to stop, all being written.
+    Raises InputError: the checkpoint is of another recipe, or the loss is not finite; KeyboardInterrupt when asked to
+    stop, after the checkpoint is written.
     """
     if file.is_file():
         run.restore(read_checkpoint(file), str(file))

@@ -1,6 +1,6 @@
-"""A decoder trained on vehicles from mesh files, and the vehicle set that comes of it.
+"""Training of a decoder on vehicles from mesh files, and the resulting vehicle set.
 
-Meshes are read, repaired and sampled once, and kept in a file.
+Meshes are read, repaired and sampled once, and the samples are cached in a file.
 """
 
 from __future__ import annotations
@@ -41,17 +41,15 @@ POINTS_A_STEP = 2_750
 NETWORK_RATE, CODE_RATE = 8e-4, 2e-3
 SAMPLES_A_SHAPE = 100_000
 SEED = 7
-_VERSION = 2
-"""Of what identifies meshes in a recipe."""
+_VERSION = 2  # of the text that identifies meshes in a recipe
 _CODE = ("sdf/samples.py", "seeding.py", "training/sdf_shapes.py", "vehicles")
 
 
 @dataclass(frozen=True)
 class MeshShapes:
-    """Samples of S meshes, and by the same index what is known of each.
+    """Samples of S meshes, and facts about each mesh at the same index.
 
-    facts: per shape, as JSON values: name, file, sha256, repair, size_m. refused: what could not be used,
-    and why, by file.
+    facts: per shape, as JSON values: name, file, sha256, repair, size_m. refused: reasons by file of unusable meshes.
     """
 
     samples: ShapeSamples
@@ -60,10 +58,10 @@ class MeshShapes:
 
 
 def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cache: Path, processes: int) -> MeshShapes:
-    """Sample the meshes at a path, or read them back from `cache` (a folder) when it holds just these.
+    """Sample the meshes at a path, or read the samples from `cache` (a folder) if it holds the same ones.
 
-    What another program sampled is sampled again. A mesh that cannot be used is left out and said so, once; the samples
-    of a shape are in random order, so that consecutive slices are fair batches.
+    Samples of another program version are not reused. An unusable mesh is left out, and the reason is printed once. The
+    samples of a shape are in random order, so that consecutive slices are fair batches.
     Raises: InputError when there are no meshes at the path, or none that can be used.
     """
     files = find_meshes(path)
@@ -115,7 +113,7 @@ def _keep(kept: Path, parts: list[_Part | str], files: list[MeshFile], hashes: l
 
 
 def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
-    """The recipe for meshes: an hour on one core that has no bfloat16, so fewer points a step, and higher rates.
+    """Return the recipe for meshes: an hour on one core without bfloat16 allows fewer points per step, at higher rates.
 
     The published rates are for ten to a hundred times as many steps. Meshes are not mirrored: few are symmetric.
     """
@@ -138,9 +136,9 @@ def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
 def train_on_meshes(
     path: Path | str, frame: MeshFrame, out: Path, compute: Compute, steps: int = STEPS, report: Report | None = None
 ) -> list[float]:
-    """Train a decoder of the published size on the meshes at a path, or go on; leave the vehicle set in `out`.
+    """Train a decoder of the published size on the meshes at a path, or resume; write the vehicle set to `out`.
 
-    Nothing is written to the shipped weights. A vehicle set that this training has left there is not made again.
+    The shipped weights stay. A vehicle set that this training already wrote is not made again.
     Returns: Chamfer distances of the vehicles to their meshes, cm, in the order of the meshes.
     Raises: InputError for meshes that cannot be used (see `mesh_shapes`), or another training's folder.
     """
@@ -154,7 +152,7 @@ def train_on_meshes(
 
 
 def is_exported(checkpoint: Path, out: Path) -> bool:
-    """Whether the vehicle set is there, of these meshes, by this recipe, from the checkpoint's step."""
+    """True if `out` holds the vehicle set of the checkpoint's recipe, which names the meshes, and of its step."""
     if not (out / VEHICLES_FILE).is_file():
         return False
     state = read_checkpoint(checkpoint)
@@ -168,8 +166,8 @@ def is_exported(checkpoint: Path, out: Path) -> bool:
 def export_mesh_training(checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, processes: int) -> None:
     """Decode every training shape, measure it against its mesh, picture both, and write the vehicle set.
 
-    A code that draws no surface, as after a few steps, is left out and said so. Shapes are shared among processes.
-    Raises: InputError when none draws one.
+    A code without a surface, as after a few steps, is left out, and the reason is printed. Processes share the shapes.
+    Raises: InputError when no code has a surface.
     """
     state = read_checkpoint(checkpoint)
     decoder, codes, _ = scaled_decoder(state)
@@ -210,7 +208,7 @@ _Row = tuple[dict[str, Any], NDArray[np.float32], float]
 
 
 def _measured(frame: MeshFrame, pictures: Path, decoder: Decoder, row: _Row) -> FittedVehicle | str:
-    """The vehicle of a code, pictured beside its mesh, or why the code draws none."""
+    """Return the vehicle of a code, and write its picture beside its mesh; or return the error text."""
     facts, code, scale_m = row
     try:
         vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)

@@ -1,8 +1,8 @@
 """Training of a decoder whose codes are a linear map of the generator's parameters: z = features @ basis.
 
-Codes of an auto-decoder hold whatever lowers the loss; a part of theirs says nothing about vehicles, and attacks go
-there. Here a code holds the vehicle's parameters and nothing else, and vehicles that were never trained on have one.
-The vehicle set that comes of it holds a typical vehicle of every kind, with its open parameters.
+Codes of an auto-decoder hold whatever lowers the loss; part of a code says nothing about its vehicle, and attacks
+exploit that part. Codes of this decoder hold the vehicle's parameters and nothing else, and untrained vehicles have
+codes too. The resulting vehicle set holds a typical vehicle of every kind, with its open parameters.
 Source: our choice. Loss, optimiser and samples are DeepSDF's (Park et al. 2019, section 4).
 """
 
@@ -35,10 +35,8 @@ from shift3d.vehicles.parameter_box import BoxOfParameters
 from shift3d.vehicles.vehicle_set import KnownCodes, fitted, write_vehicle_set
 
 CHECKPOINT = "parametric.pt"
-LEAST_MEMBERS = 8
-"""Fewest members of a kind in the training that make it a vehicle of the set."""
-TRIMMED = 0.02
-"""Share of its kind's members beyond either end of a parameter's range."""
+LEAST_MEMBERS = 8  # fewest training members of a kind that gives a vehicle of the set
+TRIMMED = 0.02  # share of a kind's members beyond either end of a parameter's range
 UNSEEN = 24
 RESOLUTION_M = 0.03
 
@@ -47,8 +45,8 @@ RESOLUTION_M = 0.03
 class ParametricRecipe:
     """Everything that decides the weights, beside the samples.
 
-    shapes, samples_a_shape: vehicles, half seen and half held out. shapes_a_step, points_a_shape: of a batch.
-    start: "shipped" for the shipped decoder's network, "" for random weights. basis_std: of the basis' first values.
+    shapes, samples_a_shape: vehicles, half seen and half held out, and samples of each. shapes_a_step, points_a_shape:
+    of a batch. start: "shipped" for the shipped network, "" for random weights. basis_std: of the initial basis.
     """
 
     shapes: int = 1200
@@ -66,7 +64,7 @@ class ParametricRecipe:
 
 
 class ParametricRun(DecoderRun):
-    """One training of a decoder and the basis that makes codes of features."""
+    """One training of a decoder and of the basis that maps features to codes."""
 
     table_name = "basis"
 
@@ -94,7 +92,7 @@ class ParametricRun(DecoderRun):
 
 
 def _take_weights(decoder: Decoder, start: Decoder) -> None:
-    """Let a decoder with weight norm compute what a folded one does."""
+    """Copy weights from a folded decoder to one with weight norm, so that both compute the same."""
     with torch.no_grad():
         for layer, other in zip(decoder.layers, start.layers, strict=True):
             weight, bias = parameters_of(other)
@@ -110,7 +108,7 @@ def train_parametric(
     checkpoint_every: int = 250,
     report: Report | None = None,
 ) -> Path:
-    """Train, or go on with a training, and leave the checkpoint (decoder, basis, recipe) in `out`; returns its path.
+    """Train, or resume, and write the checkpoint (decoder, basis, recipe) to `out`. Returns its path.
 
     Raises: InputError when `out` holds another recipe's training; KeyboardInterrupt when asked to stop.
     """
@@ -124,25 +122,24 @@ def train_parametric(
 def train_wide(
     out: Path, compute: Compute, count: int | None = None, steps: int | None = None, report: Report | None = None
 ) -> list[float]:
-    """Sample the wide family, train, and leave the vehicle set in `out`; returns its Chamfer distances in cm.
+    """Sample the wide family, train, and write the vehicle set to `out`. Returns its Chamfer distances in cm.
 
-    count, steps: None for the recipe's. Raises: InputError where `out` holds another training, or no kind has
-    vehicles enough to be measured.
+    count, steps: None for the recipe's. Raises: InputError: another training in `out`, or no kind with enough vehicles.
     """
     recipe = ParametricRecipe()
     recipe = replace(recipe, shapes=count or recipe.shapes, steps=steps or recipe.steps)
     recipe = replace(recipe, shapes_a_step=min(recipe.shapes_a_step, recipe.shapes))
-    members_by_kind(wide_specs(recipe.shapes, recipe.seed))  # too few are known before anything is made
+    members_by_kind(wide_specs(recipe.shapes, recipe.seed))  # refuses too few members before anything is made
     shapes = wide_shapes(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", compute.threads)
     checkpoint = train_parametric(out, recipe, shapes, compute, report=report)
     return list(export_parametric(checkpoint, shapes, out).values())
 
 
 def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[str, float]:
-    """Write the vehicle set to `out`; returns Chamfer distances in cm by the names of its vehicles.
+    """Write the vehicle set to `out`. Returns Chamfer distances in cm by the names of its vehicles.
 
-    Codes are as long as the shipped ones are, see `export.CODE_NORM`.
-    Raises: InputError where no kind has enough members, or a code draws no surface.
+    Codes have the mean length of the shipped codes, see `export.CODE_NORM`.
+    Raises: InputError if no kind has enough members, or a code has no surface.
     Source: our choice.
     """
     state = read_checkpoint(checkpoint)
@@ -187,7 +184,7 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
 
 
 def generalisation_cm(decoder: Decoder, basis: NDArray[np.float32], shapes: WideShapes) -> dict[str, float]:
-    """Chamfer distances in cm of vehicles that were never trained on, by index and kind: their codes need no fit."""
+    """Compute Chamfer distances in cm of untrained vehicles, by index and kind: their codes need no fit."""
     found = {}
     rng = generator("unseen wide vehicles")
     for index in range(UNSEEN):
@@ -204,7 +201,7 @@ def generalisation_cm(decoder: Decoder, basis: NDArray[np.float32], shapes: Wide
 
 
 def members_by_kind(specs: Sequence[WideSpec]) -> dict[str, NDArray[np.int64]]:
-    """Members by kind, of kinds with enough of them, in the order of their first. Raises: InputError: there is none."""
+    """Return the members of each kind with enough of them, in order of appearance. Raises: InputError: no such kind."""
     kinds = np.array([spec.kind for spec in specs])
     found = {str(kind): np.flatnonzero(kinds == kind) for kind in dict.fromkeys(kinds)}
     enough = {kind: members for kind, members in found.items() if len(members) >= LEAST_MEMBERS}
@@ -214,16 +211,16 @@ def members_by_kind(specs: Sequence[WideSpec]) -> dict[str, NDArray[np.int64]]:
 
 
 def _typical(features: NDArray[np.float32], members: NDArray[np.int64]) -> int:
-    """The member nearest to the median of its kind."""
+    """Return the member nearest to the median of its kind."""
     return int(members[np.square(features - np.median(features, axis=0)).sum(axis=1).argmin()])
 
 
 def _box(shapes: WideShapes, basis: NDArray[np.float32], index: int, members: NDArray[np.int64]) -> BoxOfParameters:
-    """The parameters in which a vehicle's kind varies, and how far."""
+    """Return the parameters in which a vehicle's kind varies, and their ranges."""
     of_kind, own = shapes.features[members].astype(np.float64), shapes.features[index].astype(np.float64)
     low = np.minimum(np.quantile(of_kind, TRIMMED, axis=0), own)
     high = np.maximum(np.quantile(of_kind, 1.0 - TRIMMED, axis=0), own)
-    # A panel is there or not: whether it is does not vary by degrees.
+    # A panel exists or not: such flags do not vary by degrees.
     lengths = [not name.startswith(("is:", "has:", "MissingPanels.")) for name in shapes.table.names]
     open_ones = np.flatnonzero((high - low > 1e-3) & np.array(lengths))
     names = tuple(shapes.table.names[number] for number in open_ones)

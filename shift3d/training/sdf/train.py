@@ -1,10 +1,10 @@
 """Training of the DeepSDF auto-decoder, on the family of vehicles or on the samples of any meshes.
 
 Source: Park et al. 2019, section 4 and supplement (SHIFT3D trains "as the original DeepSDF paper"): clamped L1 with
-delta 0.1, 1e-4 times the squared norm of the codes, ramped in, codes drawn from N(0, 0.01^2), Adam with 5e-4 for
-the network and 1e-3 for the codes, weight norm. Ours, for a training of an hour on two cores: every step sees every
-shape, the learning rate falls as a cosine, no dropout, the wide layers run in bfloat16 over float32 weights, and
-vehicles of the family are mirrored at random, being symmetric.
+delta 0.1, 1e-4 times the squared norm of the codes, ramped in, codes drawn from N(0, 0.01^2), Adam with 5e-4 for the
+network and 1e-3 for the codes, weight norm. Our choice, for an hour of training on two cores: every step uses every
+shape, the learning rate falls as a cosine, no dropout, bfloat16 in the wide layers over float32 weights, and vehicles
+of the family, which are symmetric, are mirrored at random.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from shift3d.training.sdf_shapes import ShapeSamples, shape_samples
 
 @dataclass(frozen=True)
 class SdfRecipe:
-    """Everything that decides the weights; two trainings of one recipe with as many threads agree.
+    """Everything that decides the weights. Two trainings of one recipe with equal numbers of threads agree.
 
-    source: "family", or what identifies the meshes that the shapes come from (`ShapeSamples.source`).
-    mirror: whether left and right are swapped at random; only for shapes that are symmetric.
+    source: "family", or an identifier of the meshes that the shapes come from (`ShapeSamples.source`). mirror: swap
+    left and right at random; only for symmetric shapes.
     """
 
     shapes: int = 270
@@ -50,7 +50,7 @@ class SdfRecipe:
 
 
 class SdfRun(DecoderRun):
-    """One training of a decoder and a code for every shape. Every step sees every shape."""
+    """One training of a decoder and of a code for every shape. Every step uses every shape."""
 
     table_name = "codes"
 
@@ -72,7 +72,7 @@ class SdfRun(DecoderRun):
         return self.table, points.to(device), torch.from_numpy(samples.distances[:, chosen].copy()).to(device)
 
     def penalty(self) -> Tensor:
-        """Of the codes' squared norm, ramped in."""
+        """Return the penalty on the codes' squared norm, ramped in."""
         ramp = min(1.0, self.step / (self.recipe.penalty_ramp * self.recipe.steps))
         weighed: Tensor = self.recipe.code_penalty * ramp * self.table.square().sum(dim=1).mean()
         return weighed
@@ -86,18 +86,18 @@ def train_sdf(
     compute: Compute = ONE_THREAD,
     report: Report | None = None,
 ) -> Path:
-    """Train, or go on with a training, and leave `sdf.pt` (decoder, codes, recipe) in `out`.
+    """Train, or resume, and write `sdf.pt` (decoder, codes, recipe) to `out`.
 
     Args:
-        out: holds the sampled shapes and the checkpoint; the same folder and recipe resume.
-        recipe: default the shipped one.
+        out: folder of the sampled shapes and the checkpoint; the same folder and recipe resume.
+        recipe: default the shipped recipe.
         checkpoint_every: steps between checkpoints; no influence on the result. SIGINT and SIGTERM also write one.
-        samples: of the shapes to train on; default the family's. The recipe's `shapes` and `source` are then theirs.
-        compute: default the CPU, one thread; another number of threads rounds differently and changes nothing else.
-        report: is given the curve's points after every checkpoint.
+        samples: of the shapes to train on, default the family's; their number and source are those of the recipe.
+        compute: default the CPU, one thread; another number of threads only changes the rounding.
+        report: called with the curve's points after every checkpoint.
     Returns: the finished checkpoint.
     Raises: InputError when `out` holds another recipe's training; KeyboardInterrupt when asked to stop.
-    Source: Park et al. 2019, section 4; see the module for what is ours.
+    Source: Park et al. 2019, section 4; see the module for our choices.
     """
     recipe = recipe or SdfRecipe()
     compute.prepare()

@@ -1,4 +1,4 @@
-"""The wide family as training shapes of a decoder whose codes are made of the generator's parameters."""
+"""Training shapes of the wide family, for a decoder whose codes are computed from the generator's parameters."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_family
 _CODE = ("sdf/samples.py", "seeding.py", "training/sdf/wide_shapes.py", "vehicles/family")
 CHUNK = 100
 RESOLUTION_M, FACES = 0.035, 30_000
-KIND_MARGIN = 1.03
-"""How far vehicles of a kind may reach beyond the largest that was trained on."""
+KIND_MARGIN = 1.03  # factor by which vehicles of a kind may exceed the largest training vehicle
 
 
 @dataclass(frozen=True)
 class KindFrame:
-    """The sdf frame that all vehicles of a kind share, so that their parameters alone tell them apart.
+    """SDF frame shared by all vehicles of a kind, so that their parameters alone tell them apart.
 
-    x_sdf = (x - (0, 0, middle_m)) / scale_m, x in the family's working frame: origin on the ground, half way along.
+    x_sdf = (x - (0, 0, middle_m)) / scale_m, x in the family's working frame: origin on the ground, halfway along.
     """
 
     scale_m: float
@@ -42,7 +41,7 @@ class KindFrame:
 class WideShapes:
     """Samples of S vehicles: points (S, P, 3), distances (S, P), float32, sdf units of their kinds' frames.
 
-    features: (S, F) float32, the vehicles' rows in `table`. symmetric: (S,) whether left and right are alike.
+    features: (S, F) float32, rows of the vehicles in `table`. symmetric: (S,) True if left and right are alike.
     """
 
     specs: tuple[WideSpec, ...]
@@ -55,7 +54,7 @@ class WideShapes:
 
 
 def kind_frames(specs: Sequence[WideSpec]) -> dict[str, KindFrame]:
-    """The frame of every kind that the vehicles are of: the sphere that holds the largest of them."""
+    """Return the frame of every kind among the vehicles: the sphere that holds the kind's largest vehicle."""
     middles: dict[str, float] = {}
     for spec in specs:
         middles[spec.kind] = max(middles.get(spec.kind, 0.0), spec.size_m[2] / 2)
@@ -68,14 +67,14 @@ def kind_frames(specs: Sequence[WideSpec]) -> dict[str, KindFrame]:
 
 
 def wide_specs(count: int, seed: int) -> list[WideSpec]:
-    """`count` vehicles of the wide family, half seen and half held out."""
+    """Return `count` vehicles of the wide family, half seen and half held out."""
     return [*wide_family(count - count // 2, seed, "seen"), *wide_family(count // 2, seed, "held_out")]
 
 
 def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int) -> WideShapes:
-    """Sample `count` vehicles, half seen and half held out, or read them back from `cache`, a folder.
+    """Sample `count` vehicles, half seen and half held out, or read the samples from `cache`, a folder.
 
-    An interrupted call goes on where it stopped; what another program sampled is sampled again.
+    An interrupted call resumes. Samples of another program version are not reused.
     Source: samples as of Park et al. 2019; frames are our choice.
     """
     specs = wide_specs(count, seed)
@@ -107,7 +106,7 @@ def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int
 
 
 def in_frame(spec: WideSpec, frame: KindFrame, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """A vehicle's mesh, centred as `build_wide_mesh` makes it, in its kind's sdf frame."""
+    """Transform a vehicle's mesh, centred as by `build_wide_mesh`, to its kind's sdf frame."""
     low, high = spec.bounds_m
     offset = (low + high) / 2 - (0.0, 0.0, frame.middle_m)
     return trimesh.Trimesh((mesh.vertices + offset) / frame.scale_m, mesh.faces, process=False)
