@@ -40,7 +40,6 @@ class DeepSdfVehicles(VehicleSource):
             of the 57 real cars have norm 0.59 as trained, and a unit of code then moves their surface by 0.9 m (root
             mean square), against 0.35 m for the shipped vehicles: five steps led to twice the code's norm off the car.
             At 1.5 a unit moves both kinds of surface alike; that, not the attack's results, decided the choice.
-
     Raises: InputError for an invalid axis or length.
     Source: SHIFT3D, Setup ("manually scaled each baseline object" to realistic dimensions).
     """

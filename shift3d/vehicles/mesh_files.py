@@ -68,7 +68,6 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
     In ShapeNet's layout, {synset}/{id}/models/model_normalized.obj at any depth below `path`, a vehicle's name is its
     id, and other files are ignored. Otherwise every mesh below `path` counts; its name is its relative path without
     suffix. Linked folders are followed; a folder with several links counts once.
-
     Raises: InputError when the path does not exist, it holds no mesh, or two of its meshes have one name.
     """
     root = Path(path).expanduser()

@@ -60,7 +60,6 @@ def measure_mesh(mesh: trimesh.Trimesh) -> Measures:
 
     Args:
         mesh: object frame (x forward, y left, z up), metres; its lowest point counts as the ground.
-
     Differentiable w.r.t. nothing. Source: our choice: the definitions also hold for a shape without wheels, which
     ISO 612's ground clearance (tests/unit/vehicles/mesh_dimensions.py) needs.
     """

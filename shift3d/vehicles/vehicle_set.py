@@ -25,8 +25,7 @@ from shift3d.store.atomic import write_atomic
 from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors
 
 VEHICLES_FILE, DECODER_FILE, FACTS_FILE = "vehicles.safetensors", "sdf.safetensors", "sdf.json"
-RESOLUTION = 129
-"""Nodes per axis of the unit sphere's cube for measured meshes: 4 cm apart for a car."""
+RESOLUTION = 129  # nodes per axis of the unit sphere's cube for measured meshes: 4 cm apart for a car
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,12 @@ from shift3d.sdf.meshes import distance_to_surface
 
 SEAL_M = (0.05, 0.10, 0.20)
 """Gap widths to bridge. The narrowest width at which the inside does not flood is used."""
-LAST_SEAL_M = 0.40
-"""Gap width if the inside floods at every width of SEAL_M: cars with open wheel arches or windows."""
-CELL_M = 0.025
-"""Grid spacing: half the narrowest gap, so that no path leads through the wall between two nodes."""
+LAST_SEAL_M = 0.40  # gap width if the inside floods at every width of SEAL_M: cars with open wheel arches or windows
+CELL_M = 0.025  # grid spacing: half the narrowest gap, so that no path leads through the wall between two nodes
 COARSE = 4
 FILLED_SHARE = 0.30
-"""Minimum share of its box that a wrapped vehicle fills. Most cars fill 0.4 to 0.65, flooded meshes down to 0.27."""
-UNFLOODED_SHARE = 0.85
-"""A width has flooded if its volume is at most this share of the widest width's volume."""
+"""Minimum share of its box that a wrapped vehicle fills. Most cars fill 0.4 to 0.65, some flooded meshes 0.27."""
+UNFLOODED_SHARE = 0.85  # a width has flooded if its volume is at most this share of the widest width's volume
 
 Grid = NDArray[np.float64]
 

@@ -14,8 +14,7 @@ from shift3d.vehicles.family.solid import Grid, smooth_max, smooth_min
 
 Array = NDArray[np.float32]
 Point = tuple[float, float, float]
-Bounds = tuple[Point, Point]
-"""Low and high corner of a box."""
+Bounds = tuple[Point, Point]  # low and high corner of a box
 Distance = Callable[[Array, Array, Array], Array]
 """Signed distance at x (A, 1, 1), y (1, B, 1), z (1, 1, C): (A, B, C), negative inside."""
 _THINNEST = 0.75

@@ -17,8 +17,7 @@ from shift3d.seeding import generator
 from shift3d.vehicles.family.spec import BODY_TYPES, CAB_TYPES, VehicleSpec
 
 Range = tuple[float, float]
-Ranges = dict[str, Range]
-"""Ranges of one body type by name: `_m` in metres, `_of_length` and `_of_height` as shares."""
+Ranges = dict[str, Range]  # ranges of one body type by name: `_m` in metres, `_of_length` and `_of_height` as shares
 
 
 def _read_ranges() -> dict[str, Ranges]:

@@ -34,8 +34,7 @@ _WIDENED = (
     "nose_of_height", "cowl_of_length", "cowl_of_height", "roof_front_of_length", "roof_rear_of_length", "roof_drop_m",
     "backlight_of_length", "deck_of_height", "tail_of_height", "tumblehome_m",
 )  # fmt: skip
-WIDENED = 0.25
-"""Share of its width by which an embedded range of proportions is extended at either end."""
+WIDENED = 0.25  # share of its width by which an embedded range of proportions is extended at either end
 BOXES = ("box_van", "camper")
 _CAB_M: Ranges = {"width_m": (2.00, 2.05), "height_m": (2.12, 2.32)}  # cab of BOXES, without the body
 _TRAILER_M: Ranges = {

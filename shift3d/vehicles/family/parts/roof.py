@@ -14,8 +14,7 @@ from shift3d.vehicles.family.solid import Grid, smooth_max
 from shift3d.vehicles.family.spec import VehicleSpec
 
 Array = NDArray[np.float32]
-BAR_M = 0.02
-"""Radius of rails and bars: tubes and profiles are 3 to 5 cm wide."""
+BAR_M = 0.02  # radius of rails and bars: tubes and profiles are 3 to 5 cm wide
 SUNK_M = 0.08  # depth of the feet inside the roof
 
 

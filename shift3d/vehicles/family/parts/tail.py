@@ -138,8 +138,7 @@ class OpenTailgate:
         add(grid, field, ((bx, by, z - 0.3), (tx, ty, tz)), block(low, high, 0.03, -self.up_rad), 0.04)
 
 
-GATE_M = 0.09
-"""Thickness of a gate."""
+GATE_M = 0.09  # thickness of a gate
 
 
 @dataclass(frozen=True)
