@@ -39,10 +39,7 @@ def fingerprint(surface: Surface) -> NDArray[np.uint8]:
 def likely_nearest(
     own: NDArray[np.uint8], members: NDArray[np.uint8], count: int, left_out: int | None = None
 ) -> NDArray[np.int64]:
-    """Return the indices of the `count` members (M, P) with fingerprints most like `own` (P,), nearest first.
-
-    left_out: index of a member to skip.
-    """
+    """Return indices of the `count` members (M, P) nearest to `own` (P,) by fingerprint, in order; skip `left_out`."""
     differences = np.empty(len(members), np.int64)
     for start in range(0, len(members), 256):
         part = members[start : start + 256].astype(np.int16)
@@ -184,10 +181,7 @@ def write_reference(path: Path, members: Sequence[Member], calibration: Calibrat
 
 
 def read_reference(path: Path) -> ReferenceSet:
-    """Read a reference set from its file; members' surfaces are read on demand.
-
-    Raises: InputError for a file that is missing, damaged or no reference set.
-    """
+    """Read a reference set; surfaces are read on demand. Raises: InputError for a missing, damaged or foreign file."""
     from safetensors import SafetensorError, safe_open
 
     refused = InputError("no reference set can be read", where=str(path), remedy="Delete it: it is made again")

@@ -31,10 +31,7 @@ class ReferenceSource(Protocol):
         ...
 
     def members(self) -> Sequence[Build]:
-        """Return one picklable function per member: its name and its mesh, metres, x forward, z up.
-
-        Raises: InputError for a folder without members.
-        """
+        """Return a picklable function per member: name, mesh (metres, x forward, z up). Raises: InputError if empty."""
         ...
 
 
@@ -151,10 +148,7 @@ def _set_of(vehicles: str, decoder: str) -> tuple[Any, Any]:
 
 
 def reference_source(values: Mapping[str, Any]) -> ReferenceSource:
-    """Build the source from plain settings: kind wide, meshes or set, and its options (`conf/naturalness`).
-
-    Raises: InputError for invalid axes or scale.
-    """
+    """Build a source from settings (`conf/naturalness`): wide, meshes or set. Raises: InputError for bad axes or scale."""
     values = dict(values)
     kind = values.pop("kind")
     if kind == "wide":

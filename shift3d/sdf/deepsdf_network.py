@@ -128,10 +128,7 @@ class DeepSdfNetwork(nn.Module):
         return torch.tanh(value) if self.specs.use_tanh else value
 
     def field(self, z: Tensor) -> DeepSdfField:
-        """Return the field of one code (code,), differentiable w.r.t. the code.
-
-        Raises: InputError for a code of another length or with values that are not finite.
-        """
+        """Return the field of a code (code,), differentiable. Raises: InputError for a wrong length or NaN or inf."""
         if z.shape != (self.specs.code_length,) or not bool(torch.isfinite(z).all()):
             what = f"shape {tuple(z.shape)}, or values that are not finite"
             raise InputError(what, "latent code", f"Give a finite code of shape ({self.specs.code_length},)")

@@ -111,10 +111,7 @@ def extract_mesh(field: PointField, resolution: int = 128) -> trimesh.Trimesh:
 
 
 def zero_surface(values: Array, step: float) -> trimesh.Trimesh:
-    """Extract the zero surface of values from `field_on_grid` over [-1, 1]^3: closed, outward normals.
-
-    Raises: InputError when there is none.
-    """
+    """Extract the zero surface of `field_on_grid`: closed, outward normals. Raises: InputError if there is none."""
     if not (values.min() < 0.0 < values.max()):
         raise InputError("the field has no surface", "extract_mesh", "Give a latent code nearer to the prior")
     padded = np.pad(values, 1, constant_values=float(np.abs(values).max()))

@@ -71,7 +71,7 @@ class MeshFit:
 def fit_meshes(
     path: Path | str, frame: MeshFrame, out: Path | str, decoder_file: Path | str | None = None, steps: int = STEPS
 ) -> list[MeshFit]:
-    """Fit a code to every mesh at a path and write the vehicle set, with a picture of each fit beside its mesh.
+    """Fit a code to every mesh at a path and write the vehicle set, with a picture of each mesh beside its fit.
 
     ``out``/kept caches the fit of each mesh. A repeated call fits only the meshes whose cache entry is missing or
     damaged, or whose file, decoder or program version has changed. The result is the same with and without a kill.

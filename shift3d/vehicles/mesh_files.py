@@ -34,10 +34,7 @@ class MeshFile:
     path: Path
 
     def sha256(self) -> str:
-        """Compute the SHA-256 of the file's bytes, hexadecimal; for a .gltf including the files with its vertices.
-
-        Raises: InputError if a file cannot be read.
-        """
+        """Compute the file's SHA-256, hex, for a .gltf with its vertex files. Raises: InputError if unreadable."""
         digest = hashlib.sha256(content := _content(self.path))
         for part in _files_beside(content) if self.path.suffix.lower() == ".gltf" else ():
             if (file := self.path.parent / part).is_file():  # `read_mesh` reports missing files

@@ -17,9 +17,9 @@ from shift3d.vehicles.mesh_frame import AXES, MeshFrame
 
 STEPS, POINTS_A_STEP, SAMPLES = 40, 256, 2_000
 CLEARLY = 0.9
-"""Ratio to the given orientation's error below which another orientation counts as better. For ten cars unknown to the
-shipped decoder, no other orientation has a ratio below 1.15. The right orientation has at most 0.78 for the ten cars
-upside down, and at most 0.9 for nine cars turned back to front."""
+"""Ratio to the given orientation's error below which another orientation counts as better. For ten correctly oriented
+cars unknown to the shipped decoder, no other orientation is below 1.15. The right orientation has at most 0.78 for
+these cars upside down, and at most 0.9 for nine cars turned back to front."""
 
 
 def frames_along(frame: MeshFrame) -> list[MeshFrame]:

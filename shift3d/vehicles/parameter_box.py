@@ -41,7 +41,7 @@ def kind_and_number(name: str) -> tuple[str, int]:
 
 
 def drawn_box(kind: str, box: BoxOfParameters, number: int) -> BoxOfParameters:
-    """Return a kind's ranges with the start of drawn vehicle `number`: each parameter uniform over its range.
+    """Return a kind's box whose start is drawn vehicle `number`: each parameter is uniform over its range.
 
     Source: our choice, as in `attack.search=random`.
     """

@@ -219,10 +219,7 @@ def vehicle_mesh(
 def decoded_corners(
     code: NDArray[np.float32] | Tensor, decoder: Decoder | DeepSdfNetwork, sdf_R_object: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return low and high corner (3,) of a code's surface along the object's axes, sdf units.
-
-    Raises: InputError when the code decodes to no surface.
-    """
+    """Return low and high corner (3,) of a code's surface, object axes, sdf units. Raises: InputError without one."""
     import torch
 
     from shift3d.sdf.meshes import extract_mesh
@@ -240,10 +237,7 @@ def framed(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> Vehicle:
-    """Build a vehicle whose object frame has its origin at the centre of the vehicle's box, to the millimetre.
-
-    low, high: corners from `decoded_corners`.
-    """
+    """Build a vehicle with the origin at the centre of the box (low, high) of `decoded_corners`, to the millimetre."""
     size = np.round((high - low) * scale_m, _ROUNDED_M)
     centre = np.round((low + high) / 2.0 * scale_m, _ROUNDED_M) / scale_m
     return Vehicle(

@@ -74,7 +74,7 @@ def _spare_wheel(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpe
 
 
 def _bicycles(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tuple[Part, ...]]:
-    # Wheels of 26 to 29 inches, wheelbases of 1.00 to 1.12 m, carriers with two or three bicycles 18 to 22 cm apart.
+    # Wheels of 26 to 29 inches, wheelbases of 1.00 to 1.12 m, carriers for two or three bicycles 18 to 22 cm apart.
     part = tail_parts.Bicycles(
         count=int(rng.integers(1, 4)), gap_m=rng.uniform(0.22, 0.32), pitch_m=rng.uniform(0.18, 0.22),
         wheel_radius_m=rng.uniform(0.32, 0.35), base_m=rng.uniform(1.00, 1.12), rail_z_m=rng.uniform(0.50, 0.72),

@@ -72,10 +72,7 @@ class Alcove:
 
 @dataclass(frozen=True)
 class Trailer:
-    """Box trailer on its own: a body on one or two axles, and a drawbar with jockey wheel ahead.
-
-    Same frame as a vehicle: x forward, with the drawbar's coupling in front.
-    """
+    """Box trailer on one or two axles, with drawbar and jockey wheel. x forward, the drawbar's coupling in front."""
 
     length_m: float
     width_m: float

@@ -44,12 +44,12 @@ def _apply(
 
 
 def add(grid: Grid, field: Array, bounds: Bounds, part: Distance, blend_m: float = 0.0) -> None:
-    """Unite a part with the field, in place. bounds: of the part. blend_m: radius that fills the crease between."""
+    """Unite a part with the field, in place. bounds: of the part. blend_m: radius over which the crease is filled."""
     _apply(grid, field, bounds, part, blend_m, lambda a, b: smooth_min(a, b, blend_m) if blend_m else np.minimum(a, b))
 
 
 def cut(grid: Grid, field: Array, bounds: Bounds, part: Distance, blend_m: float = 0.0) -> None:
-    """Subtract a part from the field, in place. blend_m: radius that rounds the edge of the hole."""
+    """Subtract a part from the field, in place. blend_m: radius over which the hole's edge is rounded."""
 
     def without(a: Array, b: Array) -> Array:
         return smooth_max(a, -b, blend_m) if blend_m else np.maximum(a, -b)

@@ -38,7 +38,7 @@ def named_parameters(spec: WideSpec) -> dict[str, float]:
 
 def _numbers(record: object) -> Iterator[tuple[str, float]]:
     if isinstance(record, Dents):
-        # A missing dent is a ball of radius zero at the origin.
+        # Unused dents are balls of radius zero at the origin.
         balls = [*record.balls, *[(0.0, 0.0, 0.0, 0.0)] * (MOST_DENTS - len(record.balls))]
         for index, ball in enumerate(balls[:MOST_DENTS]):
             yield from ((f"ball_{index}_{axis}_m", value) for axis, value in zip("xyzr", ball, strict=True))

@@ -1,8 +1,8 @@
 """Published dimensions of production vehicles by body type (``published.csv``), the reference for the families.
 
 Models sold between 2010 and 2025, rounded to a centimetre (ground clearance to 5 mm), written down from general
-knowledge; a handful were compared with published pages. Models were added after the first comparison with the family
-where one of its quantities was out of range. The table therefore shows that such vehicles exist; it is no independent
+knowledge; a handful were compared with published pages. After the first comparison, models were added wherever a
+quantity of the family was out of range. The table therefore shows that such vehicles exist; it is no independent
 test. Width is without mirrors, height without roof rails, for convertibles with the roof closed. Ground clearance is
 given if the maker states it, see CLEARANCE_TOLERANCE_M. Tyres are the common size, sidewall code and rim. A limousine
 is a stretched sedan: its length is the base car's plus the coachbuilder's stretch. Box vans and campers have the
@@ -18,7 +18,7 @@ from pathlib import Path
 
 INCH_M = 0.0254
 CLEARANCE_TOLERANCE_M = 0.01
-"""Tolerance: makers state ground clearance empty or laden, about 2 cm apart, and few say which."""
+"""Tolerance: makers state ground clearance empty or laden, about 2 cm apart; few state it at all."""
 QUANTITIES = ("length_m", "width_m", "height_m", "wheelbase_m", "clearance_m", "tyre_diameter_m")
 
 

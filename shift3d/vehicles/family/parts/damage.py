@@ -23,7 +23,7 @@ def _whole(car: VehicleSpec) -> Bounds:
 
 @dataclass(frozen=True)
 class Dents:
-    """Round dents: centre (x, y, z in the vehicle's frame) and radius of the ball behind each dent, metres."""
+    """Round dents: centre (x, y, z in the vehicle's frame) and radius, metres, of the ball that cuts each dent."""
 
     balls: tuple[tuple[float, float, float, float], ...]
 

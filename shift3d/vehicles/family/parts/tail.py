@@ -97,7 +97,7 @@ class Bicycles:
 TUBE_M, TYRE_M, SPOKE_M = 0.02, 0.025, 0.008
 """Radii of frame tubes, of tyres, and of one rod that stands for a third of a wheel's spokes."""
 GRIP_M, HANDLEBAR_M = 0.16, 0.72
-"""Half length of a handlebar, turned along the frame for transport; its height above the wheel hubs."""
+"""Half length of a handlebar, turned along the frame for transport; its height above rail plus wheel radius."""
 
 
 @dataclass(frozen=True)
