@@ -68,7 +68,7 @@ class Field:
             return self._evaluate(x_sdf, live), live
 
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None = None) -> Tensor:
-        """Compute values (N,). `live` receives the masks of `survey`; with it no graph may be recorded."""
+        """Compute values (N,). `live` receives the masks of `survey`; gradients must then be off."""
         hidden = x = padded_to_bucket(x_sdf.to(self.dtype), *self.weights, *self.biases)
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if layer == self.skip_layer:

@@ -83,7 +83,7 @@ class MeshFrame:
         return trimesh.Trimesh((vertices - (low + high) / 2.0) * scale, mesh.faces, process=False)
 
     def check_direction(self, extent: NDArray[np.float64], where: str, prefix: str = "") -> None:
-        """Raise InputError at `where` unless extent (3,), object frame, is largest forward. prefix: of settings."""
+        """Raise InputError at `where` unless extent (3,), object frame, is largest along x. prefix: of settings."""
         longest = int(np.argmax(extent))
         if longest != 0:
             axis = "xyz"[int(np.argmax(np.abs(self.object_R_file()[longest])))]

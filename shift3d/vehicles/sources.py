@@ -90,7 +90,7 @@ def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = F
 
     edited: the vehicle's parameters are edited, whatever the space.
     Raises: InputError if the vehicle has no parameters and space is parameters or edited is set; for space family, if
-    the source's vehicles are no kinds.
+    the source has no kinds.
     """
     if space == "free" and not edited:
         return ""
