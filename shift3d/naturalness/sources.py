@@ -148,7 +148,7 @@ def _set_of(vehicles: str, decoder: str) -> tuple[Any, Any]:
 
 
 def reference_source(values: Mapping[str, Any]) -> ReferenceSource:
-    """Build a source from settings (`conf/naturalness`): wide, meshes, set. Raises: InputError for bad axes or scale."""
+    """Build a source from settings (`conf/naturalness`): wide, meshes, set. Raises: InputError for bad axis or scale."""
     values = dict(values)
     kind = values.pop("kind")
     if kind == "wide":

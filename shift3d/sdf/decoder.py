@@ -153,7 +153,7 @@ class Decoder(nn.Module):
     def with_code_scale(self, factor: float) -> Decoder:
         """Rescale to codes `factor` times as long, in place, and return self: the same shapes up to rounding.
 
-        Folded decoders only. Scaling codes changes no shape, but it scales the shape change per gradient step by factor^-2.
+        Folded decoders only. Code scaling keeps all shapes, but scales the shape change per gradient step by factor^-2.
         """
         with torch.no_grad():
             for index in (0, self.architecture.skip_layer):
