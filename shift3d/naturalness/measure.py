@@ -68,7 +68,7 @@ NO_SURFACE = NaturalnessMeasure(None, None, 100.0, 0.0)  # measure of a code wit
 
 
 class Naturalness:
-    """Measures shapes against a reference set. Not differentiable."""
+    """Naturalness measurement of shapes against a reference set. Not differentiable."""
 
     def __init__(self, reference: ReferenceSet) -> None:
         self.reference = reference

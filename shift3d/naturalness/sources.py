@@ -37,7 +37,7 @@ class ReferenceSource(Protocol):
 
 @dataclass(frozen=True)
 class WideReference:
-    """Wide family, both sides of the split: every fourth member is held out."""
+    """Reference source of the wide family, both sides of the split: every fourth member is held out."""
 
     members_count: int = 2000
     seed: int = 11
@@ -72,7 +72,7 @@ def _wide_member(index: int, seed: int, resolution_m: float) -> tuple[str, trime
 
 @dataclass(frozen=True)
 class MeshReference:
-    """Every mesh of a folder, unrepaired: holes stay open, interior surfaces count. frame: of the files.
+    """Reference source of all meshes of a folder, unrepaired: holes stay, interior surfaces count. frame: of the files.
 
     Of files with equal bytes only the first by name is a member: a duplicate would be 0 cm from another member.
     """
@@ -105,7 +105,7 @@ def _read(name: str, path: Path, frame: MeshFrame) -> tuple[str, trimesh.Trimesh
 
 @dataclass(frozen=True)
 class SetReference:
-    """Every code that a vehicle set's decoder was trained on; folder None and "wide": the shipped sets."""
+    """Reference source of all codes that a vehicle set's decoder was trained on; None and "wide": the shipped sets."""
 
     folder: str | None = None
 
@@ -148,7 +148,10 @@ def _set_of(vehicles: str, decoder: str) -> tuple[Any, Any]:
 
 
 def reference_source(values: Mapping[str, Any]) -> ReferenceSource:
-    """Build a source from settings (`conf/naturalness`): wide, meshes, set. Raises: InputError for bad axis or scale."""
+    """Build the source from plain settings: kind wide, meshes or set, and its options (`conf/naturalness`).
+
+    Raises: InputError for invalid axes or scale.
+    """
     values = dict(values)
     kind = values.pop("kind")
     if kind == "wide":

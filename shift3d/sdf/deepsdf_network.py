@@ -70,7 +70,7 @@ class NetworkSpecs:
         return [count[self.entry(layer)] for layer in range(self.layers)]
 
     def published(self) -> Architecture | None:
-        """Return the same network as `Architecture`; None unless one width, one skip, no norms, xyz_in_all or use_tanh."""
+        """Return the same network as `Architecture`, None unless one width, one skip, no norm, xyz_in_all, use_tanh."""
         norms = any(self.normed(layer) for layer in range(self.layers - 1))
         kinds = len(set(self.dims)) == 1 and len(self.latent_in) == 1 and not (norms or self.xyz_in_all)
         if not kinds or self.use_tanh or not 0 < self.latent_in[0] < self.layers - 1:

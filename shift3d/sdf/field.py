@@ -44,7 +44,7 @@ class Field:
 
     @cached_property
     def rough(self) -> Bfloat16Field | None:
-        """The field in bfloat16; None if bfloat16 is slow here, in float64, or if the network is no `Decoder`'s."""
+        """The field in bfloat16; None if bfloat16 is slow on this CPU, in float64, or without a `Decoder`'s layout."""
         if self.dtype != torch.float32 or self.skip_layer < 1 or not has_fast_bfloat16():
             return None
         return Bfloat16Field(self.weights, self.biases, self.skip_layer)

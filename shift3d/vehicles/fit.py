@@ -54,7 +54,7 @@ class MeshFit:
 
     @property
     def picture(self) -> Path:
-        """Path below the set's folder of a picture: the mesh beside the decoded surface."""
+        """Path, below the set's folder, of the picture of the mesh beside the decoded surface."""
         return Path(PICTURES) / f"{self.vehicle.name}.png"
 
     @property

@@ -25,7 +25,7 @@ LEVELS_M = (1.37e-5, 2.9e-4, -3.1e-4, 6.7e-4, -7.1e-4, 1.9e-3)
 
 @dataclass(frozen=True)
 class Grid:
-    """Half grid: axes x (A,), y (B,) from 0, z (C,), all float32 metres, with equal spacing."""
+    """Grid axes x (A,), y (B,), z (C,), all float32 metres, with equal spacing; on a half grid y starts at 0."""
 
     x: Array
     y: Array
