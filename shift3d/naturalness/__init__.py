@@ -1,4 +1,4 @@
-"""How near a shape is to vehicles: surface distances to the nearest member of a reference set, calibrated on the set.
+"""Naturalness of a shape: surface distances to the nearest member of a reference set, calibrated on the set.
 
-`measure` says it of one shape, `sources` says where members come from, `reference` keeps them in one file.
+`measure` measures one shape, `sources` provides the members, `reference` stores them in one file.
 """

@@ -1,4 +1,4 @@
-"""A reference set from its source: built once, calibrated, and kept in the user's cache folder."""
+"""Construction of a reference set from its source: built and calibrated once, cached in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from shift3d.store.user_cache import program_digest, user_cache
 from shift3d.wording import counted
 
 CALIBRATED = 400
-"""Members that are left out, one after the other, for the calibration: of more, these, spread over all."""
+"""Number of members left out in turn for the calibration; in a larger set they are spread evenly over all members."""
 _PROCESSES, _LEAST_FOR_PROCESSES = 2, 150
 _CODE = ("naturalness", "sdf", "vehicles", "seeding.py")
-"""What makes members: a set that other code made is made again."""
+"""Source code that determines the members: a set made by other code is rebuilt."""
 
 
 def load_reference(source: ReferenceSource, where: str) -> ReferenceSet:
-    """A reference set from the cache, built and kept there when it is new or cannot be read.
+    """Load a reference set from the cache; a set that is missing or unreadable is built and cached.
 
     where: the setting or the folder, for errors.
     Raises: InputError as `build_reference`.
@@ -44,14 +44,14 @@ def load_reference(source: ReferenceSource, where: str) -> ReferenceSet:
         members, calibration = build_reference(source, where)
         try:
             write_reference(path, members, calibration)
-        except (OSError, InputError):  # a cache that cannot be written is done without
+        except (OSError, InputError):  # the cache is optional
             return _in_memory(members, calibration)
         return read_reference(path)
 
 
 @contextlib.contextmanager
 def _alone(lock: Path) -> Iterator[None]:
-    """While this lasts, other processes of the machine wait: of many workers one builds, and the others read."""
+    """Hold a lock between processes of this machine: one worker builds the set, the others wait and read it."""
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
             lock.parent.mkdir(parents=True, exist_ok=True)
@@ -60,17 +60,16 @@ def _alone(lock: Path) -> Iterator[None]:
 
 
 def reference_file(source: ReferenceSource) -> Path:
-    """Where a reference set is kept: its name changes with its source, and with the code and the libraries that make
-    it."""
+    """Return a reference set's cache path, named by a digest of its source, program code and library versions."""
     digest = hashlib.blake2b((source_hash(source) + program_digest(*_CODE)).encode(), digest_size=16)
     return user_cache() / "reference" / f"{digest.hexdigest()}.safetensors"
 
 
 def build_reference(source: ReferenceSource, where: str) -> tuple[list[Member], Calibration]:
-    """Build every member of a set and calibrate it; two processes and a progress bar where that takes long.
+    """Build every member of a set and calibrate the set; a large set gets two processes and a progress bar.
 
-    Raises: InputError: a member that cannot be read; no members, or fewer than a calibration needs; members of sizes
-    that no vehicle has, as another unit gives them.
+    Raises: InputError for an unreadable member, fewer members than a calibration needs, or members mostly of
+    implausible sizes, as from a wrong unit.
     """
     builds = source.members()
     if len(builds) < FEWEST:
@@ -85,7 +84,7 @@ def _built(builds: Sequence[Build]) -> Iterator[Member]:
     if len(builds) < _LEAST_FOR_PROCESSES:
         yield from map(_member, builds)
         return
-    # Not forked: the caller may hold threads, and locks with them.
+    # Spawned, not forked: the caller may hold threads with locks.
     with ProcessPoolExecutor(_PROCESSES, multiprocessing.get_context("spawn")) as pool:
         yield from pool.map(_member, builds, chunksize=16)
 
@@ -96,7 +95,7 @@ def _member(build: Build) -> Member:
 
 
 def _check_sizes(members: Sequence[Member], where: str) -> None:
-    """Refuse a set of another unit or orientation: half of it or more has sizes that no vehicle has."""
+    """Refuse a set of wrong unit or orientation: more than half of its members have implausible sizes."""
     ranges = published_ranges()
     limits = np.array([ranges[name] for name in ("length_m", "width_m", "height_m")])
     sizes = np.array([member.size_m for member in members])
@@ -111,7 +110,7 @@ def _check_sizes(members: Sequence[Member], where: str) -> None:
 def _calibration(members: Sequence[Member]) -> Calibration:
     chosen = np.unique(np.linspace(0, len(members) - 1, min(CALIBRATED, len(members))).round().astype(int))
     reference = _in_memory(members, None)
-    with ThreadPoolExecutor(_PROCESSES) as pool:  # most of the time is spent in searches that let other threads run
+    with ThreadPoolExecutor(_PROCESSES) as pool:  # most time goes to tree queries, which release the GIL
         work = pool.map(functools.partial(left_out_cm, reference), chosen.tolist())
         found = np.array(list(tqdm(work, total=len(chosen), desc="calibrating it", mininterval=2.0)))
     return Calibration(*np.ascontiguousarray(found.T))

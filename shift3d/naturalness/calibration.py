@@ -1,4 +1,4 @@
-"""What is usual in a reference set: how far its members lie from each other, each left out in turn."""
+"""Calibration of a reference set: distance from each left-out member to the nearest other member."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-NATURAL_PERCENTILE = 95.0
-"""Of the members left out 95 in 100 are natural by this measure, and 5 are not."""
+NATURAL_PERCENTILE = 95.0  # percentile limit: of the left-out members, 95 in 100 are natural by it, and 5 are not
 NATURAL_RULE = (
     f"within the {NATURAL_PERCENTILE:g}th percentile of the distances between members of the reference set, of a "
     "published vehicle's sizes, and in one piece"
 )
-"""What natural means, for tables."""
+"""Definition of natural, for tables."""
 FEWEST = 21
-"""Members that a calibration needs: with fewer, even the farthest of them lies within the 95th percentile."""
+"""Least number of members for a calibration: with fewer, even the farthest member is within the 95th percentile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,16 +26,16 @@ class Calibration:
     p95_cm: NDArray[np.float64]
 
     def percentile(self, mean_cm: float, p95_cm: float) -> float:
-        """Share of left-out members that lie nearer than a shape, in per cent: 0 is nearer than all, 100 farther.
+        """Return the percentage of left-out members nearer than a shape: 0 if the shape is nearest, 100 if farthest.
 
-        A shape lies as far as the worse of its two ranks among the members says: by the mean, which a body of other
-        proportions raises, and by the 95th percentile, which a part of another form raises. Members are compared by
-        the same worse rank, so that 95 in 100 of them lie within the 95th percentile.
-        NaN gives 100: what cannot be measured is farther than all.
+        A shape has two ranks among the members: by the mean, which a body of other proportions raises, and by the 95th
+        percentile, which a part of another form raises. The worse rank counts. Members are compared by the same worse
+        rank, so that 95 in 100 of them are within the 95th percentile.
+        NaN gives 100: an unmeasurable shape counts as farther than all members.
         Source: our choice.
         """
         rank = max(_rank(self._means, mean_cm), _rank(self._p95s, p95_cm))
-        # Multiplied before it is divided: 220 of 400 are 55 per cent, and 100 times 0.55 is more.
+        # Multiply before dividing: 220 of 400 are 55 per cent, but 100 times 0.55 is more.
         return 100.0 * float(np.searchsorted(self._ranks, rank, side="left")) / len(self._ranks)
 
     @functools.cached_property
@@ -54,5 +53,5 @@ class Calibration:
 
 
 def _rank(ordered: NDArray[np.float64], value: float) -> float:
-    """Share of ascending values that are smaller; of NaN, all."""
+    """Return the share of ascending values below `value`; for NaN all."""
     return float(np.searchsorted(ordered, value, side="left")) / len(ordered)

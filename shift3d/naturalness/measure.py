@@ -1,4 +1,4 @@
-"""How natural a shape is: how far from the nearest vehicle, how usual that is among vehicles, and its sizes."""
+"""Naturalness measure of a shape: distance to the nearest vehicle, its percentile among vehicles, and the sizes."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 
 
 GAP_M = 0.2
-"""Two cells of the grid that a code is decoded on: bars of a roof box, which are thinner than a cell, span less."""
+"""Two cells of the grid on which codes are decoded. The bars of a roof box, thinner than a cell, span less."""
 LEAST_PIECE = 0.9
-"""Share of a vehicle's surface that hangs together, at least. Our choice: 155 real cars have 0.906 or more."""
+"""Minimum area share of a vehicle's largest connected piece. Our choice: 155 real cars have 0.906 or more."""
 
 
 @dataclass(frozen=True)
 class NaturalnessMeasure:
-    """What is measured of one shape; nearest and sizes are None for a code without a surface.
+    """Measures of one shape; nearest and sizes are None for a code without a surface.
 
-    percentile: share of the reference's left-out members that lie nearer than the shape, see `Calibration.percentile`.
-    largest_piece: share of a decoded surface that hangs together, see the function; None for meshes and points, whose
-    parts may touch without sharing corners.
+    percentile: percentage of left-out reference members nearer than the shape, see `Calibration.percentile`.
+    largest_piece: area share of a decoded surface's largest piece, see the function; None for meshes and points, whose
+    parts may touch without shared corners.
     """
 
     nearest: Nearest | None
@@ -48,7 +48,7 @@ class NaturalnessMeasure:
 
     @property
     def out_of_range(self) -> tuple[str, ...]:
-        """Names of the sizes that no published vehicle has; `largest_piece` where it is less than `LEAST_PIECE`."""
+        """Names of the sizes outside the published range; `largest_piece` is included if it is below `LEAST_PIECE`."""
         if self.sizes is None:
             return ()
         loose = self.largest_piece is not None and self.largest_piece < LEAST_PIECE
@@ -56,28 +56,27 @@ class NaturalnessMeasure:
 
     @property
     def natural(self) -> bool:
-        """Within the reference's 95th percentile, of a vehicle's sizes, and of one piece."""
+        """True if within the reference's 95th percentile, of a vehicle's sizes, and in one piece."""
         return self.within(NATURAL_PERCENTILE)
 
     def within(self, percentile: float) -> bool:
-        """Whether the shape lies within a percentile, has a vehicle's sizes, and hangs together."""
+        """True if the shape is within a percentile, has a vehicle's sizes, and is in one piece."""
         return self.sizes is not None and self.percentile <= percentile and not self.out_of_range
 
 
-NO_SURFACE = NaturalnessMeasure(None, None, 100.0, 0.0)
-"""What a code without a surface has."""
+NO_SURFACE = NaturalnessMeasure(None, None, 100.0, 0.0)  # measure of a code without a surface
 
 
 class Naturalness:
-    """Measures shapes against a reference set. Nothing here is differentiable."""
+    """Naturalness measurement of shapes against a reference set. Not differentiable."""
 
     def __init__(self, reference: ReferenceSet) -> None:
         self.reference = reference
 
     def of(self, shape: trimesh.Trimesh | NDArray[np.floating]) -> NaturalnessMeasure:
-        """Measure a mesh, or points (N, 3) spread evenly over a surface: x forward, y left, z up, metres, anywhere.
+        """Measure a mesh, or points (N, 3) spread evenly over a surface: x forward, y left, z up, metres, any place.
 
-        Raises: InputError for what is no surface: no area, coordinates that are not finite, too few points.
+        Raises: InputError for an invalid surface: no area, coordinates that are not finite, too few points.
         Source: our choice.
         """
         surface = surface_of_mesh(shape) if isinstance(shape, trimesh.Trimesh) else surface_of_points(shape)
@@ -88,7 +87,7 @@ class Naturalness:
     def of_code(
         self, vehicle: Vehicle, decoder: Decoder | DeepSdfNetwork, code: ArrayLike | Tensor
     ) -> NaturalnessMeasure:
-        """Measure what a vehicle looks like under a code (d,); one without a surface, or not finite, is `NO_SURFACE`.
+        """Measure a vehicle's surface for a code (d,); no surface or a code that is not finite gives `NO_SURFACE`.
 
         Raises: InputError for a code of another length than the vehicle's.
         """
@@ -108,7 +107,7 @@ class Naturalness:
 
 
 def largest_piece(mesh: trimesh.Trimesh) -> float:
-    """Share of the area in the largest piece; pieces less than `GAP_M` apart, corner from corner, are one."""
+    """Compute the area share of the largest piece; pieces with corners less than `GAP_M` apart count as one."""
     faces, near = np.asarray(mesh.faces), cKDTree(mesh.vertices).query_pairs(GAP_M, output_type="ndarray")
     edges = np.concatenate((faces[:, :2], faces[:, 1:], near))
     piece = connected_component_labels(edges, node_count=len(mesh.vertices))[faces[:, 0]]

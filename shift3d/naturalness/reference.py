@@ -1,4 +1,4 @@
-"""A reference set: members' surfaces in one file, and which of them is the nearest to a shape."""
+"""Reference set: surfaces of its members in one file, and the search for the member nearest to a shape."""
 
 from __future__ import annotations
 
@@ -28,21 +28,18 @@ PROBES: NDArray[np.float64] = np.stack(
     ),
     axis=-1,
 ).reshape(-1, 3)  # fmt: skip
-"""Places (P, 3), metres, frame of `Surface`. Longer and higher vehicles are told apart by what lies within."""
+"""Probe points (P, 3), metres, frame of `Surface`. Longer or higher vehicles are compared by the part among them."""
 
 
 def fingerprint(surface: Surface) -> NDArray[np.uint8]:
-    """Distance (P,) of every probe to the surface, in 255ths of half a metre."""
+    """Compute the distance (P,) of every probe to the surface, in 255ths of half a metre, at most half a metre."""
     return np.asarray(np.rint(surface.nearest_points_m(PROBES, _REACH_M) * (255.0 / _REACH_M)), np.uint8)
 
 
 def likely_nearest(
     own: NDArray[np.uint8], members: NDArray[np.uint8], count: int, left_out: int | None = None
 ) -> NDArray[np.int64]:
-    """Numbers of the `count` members (M, P) whose fingerprints differ least from `own` (P,), nearest first.
-
-    left_out: a member that is passed over.
-    """
+    """Return indices of the `count` members (M, P) nearest to `own` (P,) by fingerprint, in order; skip `left_out`."""
     differences = np.empty(len(members), np.int64)
     for start in range(0, len(members), 256):
         part = members[start : start + 256].astype(np.int16)
@@ -54,17 +51,17 @@ def likely_nearest(
 
 FORMAT = "1"
 CANDIDATES = 8
-"""Members that are compared in full, of those whose fingerprints are the likeliest. Against a comparison with all 2,000
-of the wide family 2 of 13 members left out got another one, 0.43 mm farther at most."""
-_RANKED = 4  # every fourth point while candidates are compared
-_STEP_M = 0.0005  # of stored coordinates
-_KEPT = 64  # surfaces with their trees, 0.5 MB each
+"""Number of members compared in full: those with the most similar fingerprints. Against a comparison with all 2,000
+members of the wide family, 2 of 13 left-out members got another nearest member, at most 0.43 mm farther."""
+_RANKED = 4  # candidates are compared with every fourth point
+_STEP_M = 0.0005  # quantization of stored coordinates
+_KEPT = 64  # cached surfaces with their trees, 0.5 MB each
 _TENSORS = ("points", "normals", "disc_m", "size_m", "fingerprint")
 
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """A vehicle of a reference set as it is stored.
+    """Vehicle of a reference set in its stored form.
 
     points: (POINTS, 3) int16, half millimetres. normals: (POINTS, 3) int8, 127ths. fingerprint: (P,) uint8.
     disc_m, size_m: see `Surface`.
@@ -79,23 +76,23 @@ class Member:
 
     @staticmethod
     def of(name: str, surface: Surface) -> Member:
-        """A member from its surface of POINTS points."""
+        """Build a member from its surface of POINTS points."""
         points = np.rint(surface.points / _STEP_M).astype(np.int16)
         normals = np.rint(surface.normals * 127.0).astype(np.int8)
         return Member(name, points, normals, surface.disc_m, surface.size_m, fingerprint(surface))
 
     def surface(self) -> Surface:
-        """The surface again, coordinates rounded."""
+        """Return the surface, with coordinates rounded."""
         points, normals = self.points.astype(np.float64), self.normals.astype(np.float64)
         return Surface(points * _STEP_M, normals / 127.0, self.disc_m, self.size_m)
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """The nearest member and how far it is, centimetres. Each direction: (mean, 95th percentile) over the points.
+    """Nearest member and its distances in centimetres. Each direction: (mean, 95th percentile) over the points.
 
-    to_member: from the shape's points to the member's surface; what the shape has and the member lacks.
-    from_member: the other way; what the member has and the shape lacks.
+    to_member: from the shape's points to the member's surface; large where the member lacks a part of the shape.
+    from_member: from the member's points to the shape's surface; large where the shape lacks a part of the member.
     """
 
     index: int
@@ -105,21 +102,21 @@ class Nearest:
 
     @property
     def mean_cm(self) -> float:
-        """Mean of both directions' means: the symmetric Chamfer distance, see `sdf.meshes`."""
+        """Mean of the two directions' means: the symmetric Chamfer distance, see `sdf.meshes`."""
         return (self.to_member_cm[0] + self.from_member_cm[0]) / 2.0
 
     @property
     def p95_cm(self) -> float:
-        """The larger of both directions' 95th percentiles."""
+        """Larger of the two directions' 95th percentiles."""
         return max(self.to_member_cm[1], self.from_member_cm[1])
 
 
 class ReferenceSet:
-    """Members by number.
+    """Reference set with members by index.
 
     Args:
-        names: (M,). fingerprints: (M, P). surface_of: the surface of a member by its number.
-        calibration: None while it is being made.
+        names: (M,). fingerprints: (M, P). surface_of: returns a member's surface by index.
+        calibration: None while the calibration is computed.
     """
 
     def __init__(
@@ -139,16 +136,16 @@ class ReferenceSet:
 
     @property
     def calibration(self) -> Calibration:
-        """How far members lie from each other."""
+        """Distances between members; see `Calibration`."""
         assert self._calibration is not None
         return self._calibration
 
     def nearest(self, shape: Surface, left_out: int | None = None, candidates: int = CANDIDATES) -> Nearest:
-        """The member whose surface is the nearest in the mean of both directions.
+        """Return the member whose surface is nearest in the mean of both directions.
 
         Args:
-            shape: any surface. left_out: a member that does not count.
-            candidates: members that are compared in full; all of them: `len(self)`.
+            shape: any surface. left_out: index of a member to skip.
+            candidates: number of members compared in full; `len(self)` compares all.
         Source: our choice.
         """
         found = likely_nearest(fingerprint(shape), self.fingerprints, candidates, left_out)
@@ -162,19 +159,19 @@ class ReferenceSet:
 
 
 def _apart_m(a: Surface, b: Surface) -> float:
-    """Mean of both directions, metres, over every fourth point."""
+    """Compute the mean of both directions, metres, over every fourth point."""
     there, back = b.distances_to(a.points[::_RANKED]), a.distances_to(b.points[::_RANKED])
     return float(there.mean() + back.mean()) / 2.0
 
 
 def left_out_cm(reference: ReferenceSet, number: int) -> tuple[float, float]:
-    """(mean, 95th percentile) cm from a member to the nearest other one."""
+    """Compute (mean, 95th percentile) in cm from a member to the nearest other member."""
     nearest = reference.nearest(reference.surface(number), left_out=number)
     return nearest.mean_cm, nearest.p95_cm
 
 
 def write_reference(path: Path, members: Sequence[Member], calibration: Calibration) -> None:
-    """Keep a reference set in a file, atomically."""
+    """Write a reference set to a file, atomically."""
     tensors: dict[str, NDArray[Any]] = {
         name: np.stack([np.asarray(getattr(member, name)) for member in members]) for name in _TENSORS
     }
@@ -184,10 +181,7 @@ def write_reference(path: Path, members: Sequence[Member], calibration: Calibrat
 
 
 def read_reference(path: Path) -> ReferenceSet:
-    """A reference set from its file; members' surfaces are read when they are asked for.
-
-    Raises: InputError for a file that is missing, damaged or no reference set.
-    """
+    """Read a reference set; surfaces are read on demand. Raises: InputError for a missing, damaged or foreign file."""
     from safetensors import SafetensorError, safe_open
 
     refused = InputError("no reference set can be read", where=str(path), remedy="Delete it: it is made again")

@@ -1,4 +1,4 @@
-"""Measures of a vehicle that data sheets state, and the ranges that published vehicles have."""
+"""Data-sheet dimensions of a vehicle, and their ranges among published vehicles."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ from shift3d.naturalness.surface import Surface
 from shift3d.vehicles.family.published import INCH_M, PUBLISHED, TRAILERS
 
 SIZE_TOLERANCE_M, RATIO_TOLERANCE = 0.03, 0.03
-"""What a decoder's surface may be off: sizes of the shipped family by up to 2 cm, ratios by as much of themselves."""
-LIFT_M = 12 * INCH_M
-"""The largest lift kit on sale (makers' data sheets)."""
-HIGHEST_FLOOR_M = 0.62
-"""Of a box trailer, as `family.wide` has it."""
+"""Tolerance of a decoded surface: the shipped family is off by up to 2 cm in size, in ratios by as large a share."""
+LIFT_M = 12 * INCH_M  # largest lift kit on sale (makers' data sheets)
+HIGHEST_FLOOR_M = 0.62  # highest floor of a box trailer, as in `family.wide`
 ASYMMETRY_CM = 4.5
-"""Our choice: no member of the wide family lies above it, ladders, dents and bicycles included."""
+"""Largest natural asymmetry, our choice: no member of the wide family exceeds it, even with ladder, dents, bicycles."""
 _MIDDLE_LENGTH, _MIDDLE_WIDTH = 0.3, 0.25
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What is measured. clearance_m: lowest place of the middle, between all wheels, above the lowest place of all.
+    """Measured dimensions. clearance_m: lowest point between all wheels, above the lowest point of all.
 
-    asymmetry_cm: mean distance of the surface to its mirror image about its box's middle plane.
+    asymmetry_cm: mean distance of the surface to its mirror image about the box's middle plane.
     """
 
     length_m: float
@@ -38,25 +36,22 @@ class Sizes:
 
     @property
     def width_to_length(self) -> float:
-        """Width over length; infinite for what has no length."""
+        """Width over length; infinite for zero length."""
         return self.width_m / self.length_m if self.length_m else math.inf
 
     @property
     def height_to_length(self) -> float:
-        """Height over length; infinite for what has no length."""
+        """Height over length; infinite for zero length."""
         return self.height_m / self.length_m if self.length_m else math.inf
 
     def out_of_range(self) -> tuple[str, ...]:
-        """Names of the measures that no published vehicle has; one that is not finite is among them."""
+        """Return the names of measures outside the published range; a measure that is not finite is outside."""
         ranges = published_ranges()
         return tuple(name for name, (low, high) in ranges.items() if not low <= getattr(self, name) <= high)
 
 
 def sizes_of(surface: Surface) -> Sizes:
-    """Measure a vehicle's surface.
-
-    Source: our choice; length, width, height and ground clearance as ISO 612 has them.
-    """
+    """Measure a vehicle's surface. Source: our choice; length, width, height and ground clearance follow ISO 612."""
     length, width, height = surface.size_m
     points = surface.points
     middle = (np.abs(points[:, 0]) < _MIDDLE_LENGTH * length) & (np.abs(points[:, 1]) < _MIDDLE_WIDTH * width)
@@ -67,9 +62,9 @@ def sizes_of(surface: Surface) -> Sizes:
 
 @functools.cache
 def published_ranges() -> Mapping[str, tuple[float, float]]:
-    """Least and largest value of every measure among published vehicles, with the tolerance of a decoded surface.
+    """Return minimum and maximum of every measure among published vehicles, widened by a decoded surface's tolerance.
 
-    Clearance: to the highest model on the largest lift kit, or a trailer's floor. Asymmetry: see `ASYMMETRY_CM`.
+    Clearance: up to the highest model on the largest lift kit, or a trailer's floor. Asymmetry: see `ASYMMETRY_CM`.
     """
     models = [model for models in PUBLISHED.values() for model in models]
     sizes = np.array([(m.length_m, m.width_m, m.height_m) for m in models] + [row[1:] for row in TRAILERS])

@@ -1,4 +1,4 @@
-"""Where the members of a reference set come from: the wide family, mesh files, or the codes of a vehicle set."""
+"""Sources of a reference set's members: the wide family, mesh files, or the codes of a vehicle set."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from shift3d.errors import InputError
 
-# What builds members is imported late: a plan asks a source for its identity alone.
+# Modules that build members are imported late: a plan needs only a source's identity.
 if TYPE_CHECKING:
     import trimesh
 
@@ -20,28 +20,24 @@ if TYPE_CHECKING:
     from shift3d.vehicles.mesh_frame import MeshFrame
 
 Build = Callable[[], "tuple[str, trimesh.Trimesh]"]
-VERSION = 1
-"""Raised when the same settings come to mean other members."""
+VERSION = 1  # version of the member definition; raised when the same settings give other members
 
 
 class ReferenceSource(Protocol):
-    """What a reference set is made from."""
+    """Interface of a source of reference members."""
 
     def identity(self) -> dict[str, Any]:
-        """Plain values that everything in the set depends on, contents of files included. Nothing is built."""
+        """Return plain values that determine the set, including hashes of files. Builds nothing."""
         ...
 
     def members(self) -> Sequence[Build]:
-        """One function a member, which can be sent to another process: its name and its mesh, metres, x forward, z up.
-
-        Raises: InputError for a folder that holds none.
-        """
+        """Return a picklable function per member: name, mesh (metres, x forward, z up). Raises: InputError if empty."""
         ...
 
 
 @dataclass(frozen=True)
 class WideReference:
-    """The wide family, both sides of the split: every fourth member is a held-out one."""
+    """Reference source of the wide family, both sides of the split: every fourth member is held out."""
 
     members_count: int = 2000
     seed: int = 11
@@ -67,7 +63,7 @@ def _wide_member(index: int, seed: int, resolution_m: float) -> tuple[str, trime
     held_out = index % 4 == 3
     number = index // 4 if held_out else index - (index + 1) // 4
     spec = wide_vehicle(number, seed, "held_out" if held_out else "seen")
-    # As `build_wide_mesh`, without what makes it one closed piece: that takes half of the time.
+    # As `build_wide_mesh`, but without the steps that give one closed piece, which take half of the time.
     vertices, faces, _, _ = marching_cubes(wide_field(spec, resolution_m), LEVELS_M[0], spacing=(resolution_m,) * 3)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     sized = (vertices - low) * (np.array(spec.size_m) / (high - low))
@@ -76,9 +72,9 @@ def _wide_member(index: int, seed: int, resolution_m: float) -> tuple[str, trime
 
 @dataclass(frozen=True)
 class MeshReference:
-    """Every mesh of a folder, as it is: holes are not closed, what is inside counts. frame: of the files.
+    """Reference source of all meshes of a folder, unrepaired: holes stay, interior surfaces count. frame: of the files.
 
-    Of files with the same bytes the first by name is a member: one that comes twice would lie 0 cm from another.
+    Of files with equal bytes only the first by name is a member: a duplicate would be 0 cm from another member.
     """
 
     folder: str
@@ -92,7 +88,7 @@ class MeshReference:
         return [functools.partial(_read, file.name, file.path, self.frame) for file in self._files().values()]
 
     def _files(self) -> dict[str, MeshFile]:
-        """The first file of each content, by its hash."""
+        """Return the first file of each content, by its hash."""
         from shift3d.vehicles.mesh_files import find_meshes
 
         found: dict[str, MeshFile] = {}
@@ -109,7 +105,7 @@ def _read(name: str, path: Path, frame: MeshFrame) -> tuple[str, trimesh.Trimesh
 
 @dataclass(frozen=True)
 class SetReference:
-    """Every code that a vehicle set's decoder was trained on; folder None and "wide": those that ship."""
+    """Reference source of all codes that a vehicle set's decoder was trained on; None and "wide": the shipped sets."""
 
     folder: str | None = None
 
@@ -152,9 +148,9 @@ def _set_of(vehicles: str, decoder: str) -> tuple[Any, Any]:
 
 
 def reference_source(values: Mapping[str, Any]) -> ReferenceSource:
-    """The source that plain settings describe: kind wide, meshes or set, and what belongs to it (`conf/naturalness`).
+    """Build the source from plain settings: kind wide, meshes or set, and its options (`conf/naturalness`).
 
-    Raises: InputError for axes or a scale that cannot be used.
+    Raises: InputError for invalid axes or scale.
     """
     values = dict(values)
     kind = values.pop("kind")
@@ -168,6 +164,6 @@ def reference_source(values: Mapping[str, Any]) -> ReferenceSource:
 
 
 def source_hash(source: ReferenceSource) -> str:
-    """128-bit BLAKE2b, hex, of what a reference set is made from."""
+    """Compute the 128-bit BLAKE2b, hex, of a reference source's identity."""
     text = json.dumps([VERSION, source.identity()], sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -1,4 +1,4 @@
-"""A vehicle's surface as points with normals, standing on the ground, and how far other points are from it."""
+"""Vehicle surface as points with normals, resting on the ground, with distances from other points."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from shift3d.errors import InputError
 
 Array = NDArray[np.float64]
 POINTS = 4096
-"""Points of a surface: 9 cm apart on a car. Against exact distances to triangles, means of 1.5 to 5 cm come out 0.5 to
-1.5 mm higher (`tests/benchmarks/bench_naturalness.py`)."""
+"""Number of points of a surface: 9 cm apart on a car. Against exact distances to triangles, means of 1.5 to 5 cm are
+0.5 to 1.5 mm too high (`tests/benchmarks/bench_naturalness.py`)."""
 DISC = 2.0
-"""Radius of a point's disc in radii of the area that is its own: discs overlap, so that no gap is left between them."""
+"""Radius of a point's disc, in radii of a disc with the point's share of the area; discs overlap and leave no gap."""
 _NEIGHBOURS = 12
-# Low-discrepancy steps of places in a triangle (R2 sequence), so that no seed is needed.
+# Low-discrepancy steps of points in a triangle (R2 sequence), so that no seed is needed.
 _STEP_A, _STEP_B = 0.7548776662466927, 0.5698402909980532
-_CELL_M = 0.1  # of the curve along which triangles are passed
-# Numbers with two free bits before each of their own.
+_CELL_M = 0.1  # of the Morton curve that orders the triangles
+# Integers with two zero bits inserted before each bit.
 _SPREAD = np.array([sum(((n >> bit) & 1) << (3 * bit) for bit in range(10)) for n in range(1024)], np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points of a surface, each standing for a disc of the surface.
+    """Surface as points, each the centre of a disc.
 
     Attributes:
         points: (N, 3) float64 metres; x forward, y left, z up, the box's centre at x = y = 0, its lowest point at
-            z = 0: a vehicle is the same wherever it stands. Neighbours in space are neighbours in order.
-        normals: (N, 3) float64 unit vectors across the discs, either way.
+            z = 0, so a vehicle's place does not matter. Spatial neighbours are close in order.
+        normals: (N, 3) float64 unit normals of the discs, either sign.
         disc_m: radius of the discs. size_m: length, width and height of the box.
     """
 
@@ -47,7 +47,7 @@ class Surface:
         return cKDTree(self.points, balanced_tree=False, compact_nodes=False)
 
     def distances_to(self, points: Array) -> Array:
-        """Distance (M,) metres of points (M, 3), this frame, to the surface: to the disc of the nearest point.
+        """Compute distances (M,) in metres from points (M, 3), same frame, to the disc of the nearest surface point.
 
         Differentiable w.r.t.: nothing.
         Source: our choice: the distance to the nearest point alone is 4 cm too large for a car of 4,096 points.
@@ -59,15 +59,15 @@ class Surface:
         return np.asarray(np.hypot(across, np.maximum(along - self.disc_m, 0.0)), np.float64)
 
     def nearest_points_m(self, points: Array, most_m: float) -> Array:
-        """Distance (M,) metres of points (M, 3) to the nearest of the surface's points, at most `most_m`."""
+        """Compute distances (M,) in metres from points (M, 3) to the nearest surface point, at most `most_m`."""
         found, _ = self._tree.query(points, distance_upper_bound=most_m)
         return np.minimum(np.asarray(found, np.float64), most_m)
 
 
 def surface_of_mesh(mesh: trimesh.Trimesh) -> Surface:
-    """A mesh's surface: POINTS points spread evenly over its area, the same for the same mesh.
+    """Sample POINTS points evenly over a mesh's area; deterministic.
 
-    Args: mesh: x forward, y left, z up, metres, anywhere; need not be closed.
+    Args: mesh: x forward, y left, z up, metres, at any place; need not be closed.
     Raises: InputError for a mesh without area or with coordinates that are not finite.
     """
     corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
@@ -92,7 +92,7 @@ def surface_of_mesh(mesh: trimesh.Trimesh) -> Surface:
 
 
 def surface_of_points(unchecked: NDArray[np.floating]) -> Surface:
-    """A surface from points (N, 3) spread over it about evenly, metres; normals are of planes through neighbours.
+    """Build a surface from points (N, 3), about evenly spread, metres; normals are of planes through neighbours.
 
     Raises: InputError for fewer than 100 points, or coordinates that are not finite.
     """
@@ -116,7 +116,7 @@ def _size(low: Array, high: Array) -> tuple[float, float, float]:
 
 
 def _along_a_curve(places: Array) -> NDArray[np.int64]:
-    """Order (N,) along a Morton curve through cells: every n-th of it is spread evenly, too."""
+    """Return the order (N,) along a Morton curve through cells; every n-th point of the order is evenly spread too."""
     cells = np.minimum((places - places.min(axis=0)) / _CELL_M, len(_SPREAD) - 1).astype(np.int64)
     code = _SPREAD[cells[:, 0]] | _SPREAD[cells[:, 1]] << 1 | _SPREAD[cells[:, 2]] << 2
     return np.lexsort((places.sum(axis=1), code))

@@ -1,1 +1,1 @@
-"""Signed distance functions of vehicles: samples, the DeepSDF decoder, meshes from it, codes for new meshes."""
+"""Signed distance functions of vehicles: samples, the DeepSDF decoder, mesh extraction, auto-decoding of new meshes."""

@@ -1,4 +1,4 @@
-"""The products that a decoder is made of, where no gradient is wanted: x W^T + b by the library that is fast here."""
+"""Affine products x W^T + b of a decoder, computed without gradients by the library that is fastest on this machine."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ _LEAST_ROWS = 16
 
 
 def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
-    """Rows x (N, in) times weight (out, in) transposed, plus bias (out,): (N, out).
+    """Multiply rows x (N, in) by weight (out, in) transposed and add bias (out,). Returns (N, out).
 
-    float32 on CPU goes to oneDNN where that is the faster (`processor`); anything else, and what gradients are wanted
-    of, to torch. They differ by roundings. Without gradients either gives a row the same value whatever rows stand
-    beside it, MKL from 16 rows on: see `padded_to_bucket`. Differentiable.
+    float32 on CPU without gradients uses oneDNN if that is faster (`processor`); everything else uses torch. Results
+    differ by rounding. Without gradients a row's value does not depend on the other rows, with MKL from 16 rows on: see
+    `padded_to_bucket`. Differentiable.
     """
     plain = x.dtype == torch.float32 and x.device.type == "cpu" and type(x) is Tensor
     if plain and not _is_differentiated(x, weight, bias):
         if has_wide_float32():
-            # Its own ReLU would turn NaN into 0: activations are left to torch.
+            # oneDNN's fused ReLU would turn NaN into 0, so torch applies the activations.
             result: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
             return result
-        if len(weight) == 1:  # MKL adds up a single column in an order that depends on the number of rows
+        if len(weight) == 1:  # MKL sums a single column in an order that depends on the number of rows
             column = (x * weight).sum(1, keepdim=True)
             return column if bias is None else column + bias
     return x @ weight.T if bias is None else torch.addmm(bias, x, weight.T)
 
 
 def padded_to_bucket(x: Tensor, *parts: Tensor) -> Tensor:
-    """Points x (N, 3) with rows of zeros behind them: so many that no value depends on how many points there are.
+    """Append rows of zeros to points x (N, 3) so that no value depends on the number of points.
 
-    For oneDNN up to a number that comes round again, see `pad_to_bucket`; for MKL up to 16. The same tensor in float64,
-    without points, and where a gradient of the point or the parts is wanted.
+    The number of rows is a bucket size for oneDNN (`pad_to_bucket`), and at least 16 for MKL. float64 tensors, empty
+    tensors, tensors off the CPU, and tensors with gradients of x or the parts are returned as they are.
     """
     narrow = x.dtype == torch.float32 or (x.dtype == torch.bfloat16 and has_fast_bfloat16())
     if not narrow or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
@@ -45,7 +45,7 @@ def padded_to_bucket(x: Tensor, *parts: Tensor) -> Tensor:
 
 
 def units_on(hidden: Tensor) -> Tensor:
-    """(width,) bool: which units are on in one of the rows (N, width) behind a rectifier. A NaN is on."""
+    """Mask (width,) of the units that are nonzero in any of the rows (N, width) after a ReLU. A NaN is active."""
     return hidden.amax(0) != 0 if len(hidden) else hidden.new_zeros(hidden.shape[1], dtype=torch.bool)
 
 

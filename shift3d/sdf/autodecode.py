@@ -1,4 +1,4 @@
-"""The latent code of a shape that the decoder never saw: Adam on z with the decoder frozen."""
+"""Auto-decoding: search for the latent code of an unseen shape by Adam on z with a frozen decoder."""
 
 from __future__ import annotations
 
@@ -11,21 +11,19 @@ from shift3d.sdf.samples import SdfSamples
 from shift3d.seeding import derive_seed
 
 RATE, CODE_PENALTY = 1.5e-2, 1e-5
-"""The published ones (5e-3, 1e-4) in the units of the shipped codes, which are three times as long as trained."""
-CLAMP = 0.1
-"""Distances beyond it count as this far, as in the training."""
+"""Published values (5e-3, 1e-4) rescaled to the shipped codes, which are three times as long as trained."""
+CLAMP = 0.1  # distances are clamped to this absolute value, as in training
 
 
 def autodecode(decoder: Decoder, samples: SdfSamples, steps: int = 400, batch: int = 2048, seed: int = 0) -> Tensor:
-    """A latent code (code,) float32 that explains the samples.
+    """Find a latent code (code,) float32 that explains the samples.
 
     Args:
         decoder: frozen decoder; not changed.
         samples: of the shape, in its own unit sphere and with the decoder's axes.
         steps, batch: Adam on z; the rate falls to a tenth after half the steps, as published (there with twice the
-            steps and four times the points). The wide layers run in bfloat16 where the processor is fast at it.
+            steps and four times the points). The wide layers run in bfloat16 if the processor supports it natively.
         seed: of the first code, N(0, 0.01^2), and of the batches.
-
     Differentiable w.r.t.: nothing. Source: Park et al. 2019, section 4.2 (auto-decoder inference).
     """
     points, distances = torch.from_numpy(samples.points)[None], torch.from_numpy(samples.distances)
@@ -35,13 +33,12 @@ def autodecode(decoder: Decoder, samples: SdfSamples, steps: int = 400, batch: i
 def autodecode_each(
     decoder: Decoder, points: Tensor, distances: Tensor, steps: int, batch: int, seed: int = 0
 ) -> Tensor:
-    """Latent codes (shapes, code) float32 of several shapes at once, whose samples have the same distances.
+    """Find latent codes (shapes, code) float32 of several shapes at once whose samples share their distances.
 
     Args:
-        points: (shapes, N, 3) float32, sdf frame, such as one shape's samples turned in several ways.
+        points: (shapes, N, 3) float32, sdf frame, e.g. one shape's samples in several orientations.
         distances: (N,) float32, sdf units, negative inside.
-        the others: see :func:`autodecode`; each shape gets the same first code and the same batches.
-
+        others: see :func:`autodecode`; all shapes get the same first code and the same batches.
     Differentiable w.r.t.: nothing.
     """
     compute_dtype = torch.bfloat16 if has_fast_bfloat16() else torch.float32

@@ -1,10 +1,9 @@
-"""A decoder's field in bfloat16, for samples that are far from the surface.
+"""Decoder field in bfloat16, for samples far from the surface.
 
-A march spends most of its samples in free space, where only the length of the next step depends on the value.
-There eight bits of mantissa do: against float32 the metric distance of a car is off by 0.7 mm in the median and
-7 mm at most. Coordinates stay in float32 (a coordinate in bfloat16 alone is off by millimetres), the wide
-layers are in bfloat16. Every value below `bfloat16_band_m` is evaluated again in float32, so the sign that decides
-a hit never is a rough one.
+A ray march spends most of its samples in free space, where the value only sets the length of the next step. Eight bits
+of mantissa suffice there: against float32 the metric distance of a car is off by 0.7 mm in the median and 7 mm at
+most. Coordinates stay in float32 (a coordinate in bfloat16 alone is off by millimetres); the wide layers use bfloat16.
+Every value below `bfloat16_band_m` is evaluated again in float32, so a bfloat16 sign never decides a hit.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class Bfloat16Field:
         return self._evaluate(x_sdf, None)
 
     def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Values (N,) at points (N, 3), and which hidden units are on at one of them: a bool mask a layer."""
+        """Compute values (N,) at points (N, 3), and a bool mask per layer of the units active at any point."""
         live: list[Tensor] = []
         return self._evaluate(x_sdf, live), live
 
@@ -48,7 +47,7 @@ class Bfloat16Field:
             live.append(units_on(units))
 
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None) -> Tensor:
-        # In round batches: this is only there where oneDNN takes the products.
+        # Rows are padded to a bucket size: bfloat16 fields exist only where oneDNN computes the products.
         x = torch.nn.functional.pad(x_sdf.float(), (0, 0, 0, pad_to_bucket(len(x_sdf)) - len(x_sdf)))
         hidden = torch.addmm(self.biases[0], x, self.first).relu_().to(torch.bfloat16)
         self._note(hidden[: len(x_sdf)], live)

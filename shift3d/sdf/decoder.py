@@ -1,9 +1,9 @@
-"""The DeepSDF decoder g(z, x), its folded form for one latent code, and its file.
+"""DeepSDF decoder g(z, x), its folded form for one latent code, and its file format.
 
 Source: SHIFT3D section "Object Representation using DeepSDF Model"; Park et al. 2019 for the architecture: eight
-hidden layers of 512, the input (z, x) fed in again at layer 4, weight norm, ReLU, tanh at the end. The published
-training drops activations with probability 0.2; here there is no dropout: it pays off over thousands of epochs,
-while a short training only sees its noise.
+hidden layers of 512, the input (z, x) repeated at layer 4, weight norm, ReLU, tanh at the end. The published training
+drops activations with probability 0.2. This decoder has no dropout: dropout pays off over thousands of epochs, while
+in a short training only its noise shows.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DEFAULT_WEIGHTS = Path(__file__).parent.parent / "weights" / "sdf.safetensors"
 
 @dataclass(frozen=True)
 class Architecture:
-    """Layer sizes; the defaults are the published ones."""
+    """Layer sizes of a decoder; the defaults are the published ones."""
 
     code_length: int = CODE_LENGTH
     width: int = 512
@@ -35,7 +35,7 @@ class Architecture:
     skip_layer: int = 4
 
     def sizes(self) -> list[tuple[int, int]]:
-        """(inputs, outputs) of every linear layer: the one before the skip makes room for (z, x)."""
+        """Return (inputs, outputs) of every linear layer; the layer before the skip leaves room for (z, x)."""
         entry = self.code_length + 3
         sizes = []
         for layer in range(self.hidden_layers + 1):
@@ -45,14 +45,14 @@ class Architecture:
         return sizes
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of a folded decoder's tensors, by name."""
+        """Return the shapes of a folded decoder's tensors, by name."""
         shapes: dict[str, tuple[int, ...]] = {}
         for layer, (inputs, outputs) in enumerate(self.sizes()):
             shapes |= {f"layers.{layer}.weight": (outputs, inputs), f"layers.{layer}.bias": (outputs,)}
         return shapes
 
     def can_be(self) -> bool:
-        """Whether there is such a network: whole numbers, the input fed in again between two layers, room for it."""
+        """True if the sizes describe a network: integers, a skip between two layers, and enough width for the skip."""
         if any(type(size) is not int for size in vars(self).values()):
             return False
         return (
@@ -61,7 +61,7 @@ class Architecture:
 
 
 def parameters_of(layer: nn.Module) -> tuple[Tensor, Tensor]:
-    """Weight and bias of a linear layer."""
+    """Return weight and bias of a linear layer."""
     weight, bias = layer.weight, layer.bias
     assert isinstance(weight, Tensor)
     assert isinstance(bias, Tensor)
@@ -69,7 +69,7 @@ def parameters_of(layer: nn.Module) -> tuple[Tensor, Tensor]:
 
 
 class Decoder(nn.Module):
-    """DeepSDF as published, weight norm included; `field` gives the fast form for one code."""
+    """DeepSDF decoder as published, weight norm included; `field` returns the fast form for one code."""
 
     def __init__(self, architecture: Architecture | None = None) -> None:
         super().__init__()
@@ -79,7 +79,7 @@ class Decoder(nn.Module):
         )
 
     def forward(self, z: Tensor, x_sdf: Tensor) -> Tensor:
-        """Plain evaluation: codes (N, code) and points (N, 3), sdf frame -> signed distances (N,), sdf units.
+        """Evaluate codes (N, code) and points (N, 3), sdf frame -> signed distances (N,), sdf units.
 
         Differentiable w.r.t. z, x_sdf and the parameters. Source: Park et al. 2019, section 4 and its supplement.
         """
@@ -94,10 +94,10 @@ class Decoder(nn.Module):
         return torch.tanh(hidden[:, 0])
 
     def grouped(self, codes: Tensor, points: Tensor, compute_dtype: torch.dtype = torch.float32) -> Tensor:
-        """As forward for codes (S, code) with P points each (S, P, 3), sdf frame -> (S, P) in the codes' dtype.
+        """Evaluate as `forward`, for codes (S, code) with P points each (S, P, 3), sdf frame -> (S, P), codes' dtype.
 
-        The products with z are formed once a shape instead of once a point, and those with the point in the codes'
-        dtype: in bfloat16 a coordinate alone would be off by millimetres. The wide layers use `compute_dtype`.
+        Products with z are computed once per shape instead of once per point. Products with the point use the codes'
+        dtype: a bfloat16 coordinate alone would be off by millimetres. The wide layers use `compute_dtype`.
         Differentiable w.r.t. codes, points and the parameters.
         """
         shapes, count, _ = points.shape
@@ -119,7 +119,7 @@ class Decoder(nn.Module):
         return torch.tanh(hidden[:, 0]).reshape(shapes, count)
 
     def field(self, z: Tensor) -> Field:
-        """The field of one code (code,), differentiable w.r.t. z; cheap, so call it again after every change of z.
+        """Return the field of one code (code,), differentiable w.r.t. z. Cheap; call again after every change of z.
 
         Raises: InputError for a code of another length or with values that are not finite.
         """
@@ -144,16 +144,16 @@ class Decoder(nn.Module):
         return before, weight[:, -entry:-3], weight[:, -3:]
 
     def folded(self) -> Decoder:
-        """Itself weight norm folded into plain weights, in place: faster, no longer trainable as published."""
+        """Fold weight norm into plain weights, in place, and return self: faster, but not trainable as published."""
         for layer in self.layers:
             if hasattr(layer, "parametrizations"):
                 nn.utils.parametrize.remove_parametrizations(layer, "weight")
         return self
 
     def with_code_scale(self, factor: float) -> Decoder:
-        """Itself for codes that are `factor` times as long, in place: the same shapes up to rounding.
+        """Rescale to codes `factor` times as long, in place, and return self: the same shapes up to rounding.
 
-        Folded decoders only. Scaling codes changes no shape and the size of a gradient step in shape by factor^-2.
+        Folded decoders only. Code scaling keeps all shapes, but scales the shape change per gradient step by factor^-2.
         """
         with torch.no_grad():
             for index in (0, self.architecture.skip_layer):
@@ -174,7 +174,7 @@ def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None =
 
 
 def load_decoder(path: Path | str | None = None) -> Decoder:
-    """A decoder ready for use: eval mode, folded float32 weights, requires_grad False. `.double()`: in float64.
+    """Load a decoder: eval mode, folded float32 weights, requires_grad False. `.double()` converts it to float64.
 
     Args: path: a safetensors file; default the shipped weights.
     Raises: InputError naming the file and the tensor when it is missing, unreadable or of another shape.
@@ -188,7 +188,7 @@ def _architecture(metadata: dict[str, str], tensors: int, where: str) -> Archite
         architecture = Architecture(**json.loads(metadata["architecture"]))
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError("no decoder architecture in its metadata", where, "Give a decoder's weights") from error
-    # Before anything of these sizes is made: the file says them, and its tensors are what there is memory for.
+    # Checked before any allocation of these sizes: they come from the metadata, which the tensors must confirm.
     if not architecture.can_be() or 2 * (architecture.hidden_layers + 1) != tensors:
         what = f"no decoder with {tensors} tensors is made like {architecture}"
         raise InputError(what, where=where, remedy="Give a decoder's weights")
@@ -196,10 +196,10 @@ def _architecture(metadata: dict[str, str], tensors: int, where: str) -> Archite
 
 
 def decoder_from_tensors(tensors: dict[str, torch.Tensor], architecture: Architecture, where: str) -> Decoder:
-    """A folded float32 decoder from tensors named `layers.<i>.weight|bias`.
+    """Build a folded float32 decoder from tensors named `layers.<i>.weight|bias`.
 
-    Raises: InputError naming the tensor that is missing, surplus, of another shape or kind, or not finite; weights so
-        large that values would overflow.
+    Raises: InputError naming the tensor that is missing, surplus, of another shape or kind, or not finite; also for
+        weights so large that values would overflow.
     """
     tensors = checked_tensors(tensors, architecture.shapes(), where)
     entry, layers = architecture.code_length + 3, range(architecture.hidden_layers + 1)

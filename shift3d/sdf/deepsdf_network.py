@@ -1,8 +1,9 @@
-"""The network of the original DeepSDF repository in full: every variant that its specs.json can ask for.
+"""Network of the original DeepSDF repository: every variant that its specs.json can describe.
 
-Source: networks/deep_sdf_decoder.py of the original repository, for what its comments do not say: `latent_in` wins
-over `xyz_in_all` at the same layer; a layer norm comes before the ReLU, only without weight norm and never after the
-last layer; the output goes through tanh, and through a second one with `use_tanh`. Dropout is for training alone.
+Source: networks/deep_sdf_decoder.py of the original repository, also for facts missing from its comments: `latent_in`
+wins over `xyz_in_all` at the same layer; a layer norm precedes the ReLU, exists only without weight norm and never
+after the last layer; the output goes through tanh, and through a second tanh with `use_tanh`. Dropout is for training
+only.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from shift3d.sdf.decoder import Architecture, parameters_of
 
 @dataclass(frozen=True)
 class NetworkSpecs:
-    """CodeLength and the part of NetworkSpecs that a trained network's values depend on, names as in specs.json."""
+    """CodeLength and the entries of NetworkSpecs that affect a trained network's values, named as in specs.json."""
 
     code_length: int
     dims: tuple[int, ...]
@@ -30,17 +31,17 @@ class NetworkSpecs:
 
     @property
     def layers(self) -> int:
-        """Number of linear layers: one more than there are hidden ones."""
+        """Number of linear layers: hidden layers plus one."""
         return len(self.dims) + 1
 
     def entry(self, layer: int) -> str:
-        """What a layer reads beside the layer before it: "code" (z and x), "point" (x) or "" (nothing)."""
+        """Return the input of a layer beside the previous layer: "code" (z and x), "point" (x) or "" (nothing)."""
         if layer == 0 or layer in self.latent_in:
             return "code"
         return "point" if self.xyz_in_all else ""
 
     def size(self, layer: int) -> tuple[int, int]:
-        """(inputs, outputs) of a linear layer; outputs make room for what the next layer reads beside them."""
+        """Return (inputs, outputs) of a linear layer; outputs leave room for the next layer's additional inputs."""
         widths = (self.code_length + 3, *self.dims, 1)
         outputs = widths[layer + 1]
         if layer + 1 in self.latent_in:
@@ -50,11 +51,11 @@ class NetworkSpecs:
         return widths[layer], outputs
 
     def normed(self, layer: int) -> bool:
-        """Whether the network has a layer norm `bn<layer>`."""
+        """True if the network has a layer norm `bn<layer>`."""
         return not self.weight_norm and layer in self.norm_layers
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of the tensors of a `DeepSdfNetwork`, by name."""
+        """Return the shapes of a `DeepSdfNetwork`'s tensors, by name."""
         shapes: dict[str, tuple[int, ...]] = {}
         for layer in range(self.layers):
             inputs, outputs = self.size(layer)
@@ -64,12 +65,12 @@ class NetworkSpecs:
         return shapes
 
     def entries(self) -> list[int]:
-        """How many inputs each layer reads beside the layer before it."""
+        """Return the number of inputs of each layer beside the previous layer."""
         count = {"code": self.code_length + 3, "point": 3, "": 0}
         return [count[self.entry(layer)] for layer in range(self.layers)]
 
     def published(self) -> Architecture | None:
-        """The same network as the project's own kind (one width, one skip, no layer norm), if it is of that kind."""
+        """Return the same network as `Architecture`, None unless one width, one skip, no norm, xyz_in_all, use_tanh."""
         norms = any(self.normed(layer) for layer in range(self.layers - 1))
         kinds = len(set(self.dims)) == 1 and len(self.latent_in) == 1 and not (norms or self.xyz_in_all)
         if not kinds or self.use_tanh or not 0 < self.latent_in[0] < self.layers - 1:
@@ -79,7 +80,7 @@ class NetworkSpecs:
 
 @dataclass(frozen=True)
 class DeepSdfField:
-    """g(z, .) of one code; everything that depends on z alone is computed once. Differentiable as `Field` is."""
+    """g(z, .) of one code; terms that depend on z alone are computed once. Differentiable like `Field`."""
 
     specs: NetworkSpecs
     weights: tuple[Tensor, ...]
@@ -87,7 +88,7 @@ class DeepSdfField:
     norms: dict[int, nn.Module]
 
     def __call__(self, x_sdf: Tensor) -> Tensor:
-        """Signed distance (N,), sdf units, of points (N, 3), cast to the weights' dtype."""
+        """Compute the signed distance (N,), sdf units, at points (N, 3), cast to the weights' dtype."""
         x = x_sdf.to(self.weights[0].dtype)
         hidden = x
         last = self.specs.layers - 1
@@ -102,7 +103,7 @@ class DeepSdfField:
 
 
 class DeepSdfNetwork(nn.Module):
-    """The network with weight norm folded, for the variants that `Decoder` does not know."""
+    """DeepSDF network with folded weight norm, for the variants that `Decoder` does not support."""
 
     def __init__(self, specs: NetworkSpecs) -> None:
         super().__init__()
@@ -113,7 +114,7 @@ class DeepSdfNetwork(nn.Module):
         )
 
     def forward(self, z: Tensor, x_sdf: Tensor) -> Tensor:
-        """Plain evaluation: codes (N, code), points (N, 3) -> (N,) sdf units. Differentiable w.r.t. both."""
+        """Evaluate codes (N, code) at points (N, 3) -> (N,) sdf units. Differentiable w.r.t. both."""
         entry = torch.cat([z, x_sdf], dim=1)
         hidden = entry
         for layer, linear in enumerate(self.layers):
@@ -127,10 +128,7 @@ class DeepSdfNetwork(nn.Module):
         return torch.tanh(value) if self.specs.use_tanh else value
 
     def field(self, z: Tensor) -> DeepSdfField:
-        """The field of one code (code,), differentiable w.r.t. it.
-
-        Raises: InputError for a code of another length or with values that are not finite.
-        """
+        """Return the field of a code (code,), differentiable. Raises: InputError for a wrong length or NaN or inf."""
         if z.shape != (self.specs.code_length,) or not bool(torch.isfinite(z).all()):
             what = f"shape {tuple(z.shape)}, or values that are not finite"
             raise InputError(what, "latent code", f"Give a finite code of shape ({self.specs.code_length},)")
@@ -147,7 +145,7 @@ class DeepSdfNetwork(nn.Module):
         return DeepSdfField(self.specs, tuple(weights), tuple(biases), norms)
 
     def with_code_scale(self, factor: float) -> DeepSdfNetwork:
-        """Itself for codes that are `factor` times as long, in place: the same shapes up to rounding."""
+        """Rescale to codes `factor` times as long, in place, and return self: the same shapes up to rounding."""
         with torch.no_grad():
             for layer, linear in enumerate(self.layers):
                 if self.specs.entry(layer) == "code":

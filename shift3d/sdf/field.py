@@ -1,4 +1,4 @@
-"""The field of one latent code: the decoder's weights folded, and slices of it to the units that are on."""
+"""Field of one latent code: the decoder's weights folded for the code, optionally sliced to the active units."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from shift3d.sdf.linear_regions import LinearRegion, linear_region
 
 @dataclass(frozen=True)
 class Tangent:
-    """Value and derivatives at N points, sdf frame, in the network's dtype; constants.
+    """Constant value and derivatives of a field at N points, sdf frame, in the network's dtype.
 
-    value: (N,) after the tanh. at_point: (N, 3) by the point. at_bias: (N, width) by the bias of each layer asked for.
+    value: (N,) after the tanh. at_point: (N, 3) by the point. at_bias: (N, width) by the bias of each requested layer.
     """
 
     value: Tensor
@@ -28,7 +28,7 @@ class Tangent:
 
 
 class Field:
-    """g(z, .) of one latent code: weights folded, and everything that depends on z alone computed once.
+    """g(z, .) of one latent code with folded weights; all terms that depend on z alone are computed once.
 
     Differentiable w.r.t. the points and, through the two biases, w.r.t. z. The dtype is that of the decoder.
     """
@@ -39,18 +39,18 @@ class Field:
 
     @property
     def dtype(self) -> torch.dtype:
-        """The dtype that points are cast to."""
+        """Dtype to which points are cast."""
         return self.weights[0].dtype
 
     @cached_property
     def rough(self) -> Bfloat16Field | None:
-        """The field in bfloat16; None where that would be slow, in float64, and for other networks than a decoder's."""
+        """The field in bfloat16; None if bfloat16 is slow on this CPU, in float64, or without a `Decoder`'s layout."""
         if self.dtype != torch.float32 or self.skip_layer < 1 or not has_fast_bfloat16():
             return None
         return Bfloat16Field(self.weights, self.biases, self.skip_layer)
 
     def __call__(self, x_sdf: Tensor) -> Tensor:
-        """Signed distance in sdf units, negative inside.
+        """Compute the signed distance in sdf units, negative inside.
 
         Args:
             x_sdf: points (N, 3), sdf frame, unit-sphere units; cast to the field's dtype.
@@ -59,7 +59,7 @@ class Field:
         return self._evaluate(x_sdf)
 
     def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Values (N,) at points (N, 3), sdf frame, and which hidden units are on at one of them: a bool mask a layer.
+        """Compute values (N,) at points (N, 3), sdf frame, and a bool mask per layer of the units active at any point.
 
         Not differentiable.
         """
@@ -68,7 +68,7 @@ class Field:
             return self._evaluate(x_sdf, live), live
 
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None = None) -> Tensor:
-        """Values (N,); with a list, which is given the masks of `survey`, without a graph."""
+        """Compute values (N,). `live` receives the masks of `survey`; gradients must then be off."""
         hidden = x = padded_to_bucket(x_sdf.to(self.dtype), *self.weights, *self.biases)
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if layer == self.skip_layer:
@@ -82,7 +82,7 @@ class Field:
         return torch.tanh(hidden[: len(x_sdf), 0])
 
     def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
-        """The linear regions on which lines (N, 3) + k (N, 3) start, sdf frame; see there. Not differentiable."""
+        """Return the `LinearRegion` at the starts of lines (N, 3) + k (N, 3), sdf frame. Not differentiable."""
         with torch.no_grad():
             return linear_region(
                 self.weights, self.biases, self.skip_layer, x_sdf.to(self.dtype), direction.to(self.dtype)
@@ -90,15 +90,15 @@ class Field:
 
     @property
     def code_layers(self) -> tuple[int, ...]:
-        """Layers through whose bias a code that requires gradients enters; none where there is no such code."""
+        """Layers whose bias depends on a code that requires gradients; empty without such a code."""
         return tuple(layer for layer, bias in enumerate(self.biases) if bias.requires_grad)
 
     @torch.no_grad()
     def tangent(self, x_sdf: Tensor, layers: Sequence[int] = ()) -> Tangent:
-        """Values and derivatives at points (N, 3), sdf frame, and by the biases of some layers: evaluate, go back once.
+        """Compute values and derivatives at points (N, 3), sdf frame, and by some layers' biases, in one backward pass.
 
         A unit exactly at its switch counts as off, as in autograd. Costs two evaluations.
-        Source: our choice: the paper says what is needed, not how it is had.
+        Source: our choice: the paper states the quantity, not its computation.
         """
         count, x = len(x_sdf), padded_to_bucket(x_sdf.to(self.dtype))
         last, hidden, units = len(self.weights) - 1, x, []
@@ -124,10 +124,10 @@ class Field:
         return Tangent(value[:count], (at_point + at_output)[:count], by_bias)
 
     def sliced(self, live: Sequence[Tensor]) -> Field:
-        """The field without the hidden units that are off: the same values wherever only `live` units are on.
+        """Return the field without inactive hidden units: same values wherever only `live` units are active.
 
-        The layers through whose bias the code enters stay whole, so that derivatives by these biases keep their width.
-        Renderings ask again and again for the same units: the last slice is kept.
+        Layers whose bias depends on the code stay whole, so that derivatives by these biases keep their width.
+        Renderings request the same units repeatedly, so the last slice is cached.
         """
         if self._last_slice is None or not _same(live, self._last_slice[0]):
             self._last_slice = live, self._sliced(live)
@@ -153,7 +153,7 @@ class Field:
         return Field(weights, biases, self.skip_layer)
 
     def detach(self) -> Field:
-        """The same field without the graph back to z."""
+        """Return the same field without the graph back to z."""
         return Field([w.detach() for w in self.weights], [b.detach() for b in self.biases], self.skip_layer)
 
 
@@ -165,9 +165,9 @@ _UNITS = 32
 
 
 def _round_units(live: Tensor) -> Tensor:
-    """(n,) ascending numbers of the live units, and of as many others as make n a multiple of `_UNITS`.
+    """Return (n,) ascending indices: the live units, filled up with others until n is a multiple of `_UNITS`.
 
-    Libraries make code for every size of matrix: few sizes come round again, see `processor.pad_to_bucket`.
+    Libraries compile code for every matrix size; rounding keeps the number of sizes small, see `pad_to_bucket`.
     """
     on, off = torch.nonzero(live).squeeze(1), torch.nonzero(~live).squeeze(1)
     missing = min(-len(on) % _UNITS, len(off))

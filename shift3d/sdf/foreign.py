@@ -1,4 +1,4 @@
-"""Decoders in the layout of the original DeepSDF repository (specs.json, ModelParameters, LatentCodes)."""
+"""Loader of decoders in the layout of the original DeepSDF repository (specs.json, ModelParameters, LatentCodes)."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _NETWORK = "deep_sdf_decoder"
 _LAYOUT = "Give a folder in the original DeepSDF layout"
 _KNOWN_SPECS = {
     *("dims", "norm_layers", "latent_in", "weight_norm", "xyz_in_all", "use_tanh"),
-    *("dropout", "dropout_prob", "latent_dropout"),  # of the training alone
+    *("dropout", "dropout_prob", "latent_dropout"),  # used in training only
 }
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A trained auto-decoder of the original repository.
+    """Trained auto-decoder of the original repository.
 
-    decoder: folded float32 weights, eval mode, requires_grad False; a `Decoder` where the network is of the published
-    kind, which renders faster. codes: (N, code) float32 as trained. instances: N names, in code order. epoch: of the
-    weights, as the file says it.
+    decoder: folded float32 weights, eval mode, requires_grad False; a `Decoder`, which renders faster, if the network
+    has the published form. codes: (N, code) float32 as trained. instances: N names, in code order. epoch: epoch of the
+    weights according to the file.
     """
 
     decoder: Decoder | DeepSdfNetwork
@@ -39,14 +39,14 @@ class Experiment:
 
 
 def experiment_file_names(checkpoint: str = "latest") -> tuple[str, str, str]:
-    """Of specs.json, the network's weights and the codes, below an experiment's folder."""
+    """Return the names of specs.json, the network's weights and the codes, below an experiment's folder."""
     return "specs.json", f"ModelParameters/{checkpoint}.pth", f"LatentCodes/{checkpoint}.pth"
 
 
 def experiment_files(folder: Path | str, checkpoint: str = "latest") -> tuple[Path, Path, Path]:
-    """specs.json, the network's weights and the codes of a checkpoint ("latest", or an epoch: "2000").
+    """Return the paths of specs.json, the network's weights and the codes of a checkpoint ("latest", or "2000").
 
-    Raises: InputError naming the file that is missing, and the checkpoints that there are.
+    Raises: InputError naming the missing file and the existing checkpoints.
     """
     specs, weights, codes = (Path(folder) / name for name in experiment_file_names(checkpoint))
     if not specs.is_file():
@@ -60,13 +60,12 @@ def experiment_files(folder: Path | str, checkpoint: str = "latest") -> tuple[Pa
 
 
 def load_experiment(folder: Path | str, checkpoint: str = "latest") -> Experiment:
-    """A checkpoint in the original layout, with the values of the original code up to rounding.
+    """Load a checkpoint in the original layout; its values equal those of the original code up to rounding.
 
     checkpoint: "latest" or an epoch. Weight-norm pairs, of old and new torch, are folded; a `module.` prefix is
-    dropped. Never unpickles anything but tensors and plain values.
-
-    Raises: InputError naming file and key where something is missing, foreign, of another shape or not finite, where
-        weights and codes are of different epochs, or for a network that is not the original one.
+    dropped. Only tensors and plain values are unpickled.
+    Raises: InputError naming file and key for an entry that is missing, foreign, of another shape or not finite, for
+        weights and codes of different epochs, or for another network than the original one.
     """
     specs_file, weights_file, codes_file = experiment_files(folder, checkpoint)
     values, specs = _read_specs(specs_file)
@@ -90,7 +89,7 @@ def _epoch(content: dict[str, Any], path: Path) -> int | None:
 def _read(path: Path) -> dict[str, Any]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
+    except Exception as error:  # a damaged pickle can raise any error
         raise InputError("not a readable checkpoint of tensors only", str(path), "Copy it again") from error
     if not isinstance(content, dict):
         raise InputError(f"holds a {type(content).__name__}, no table by name", where=str(path), remedy=_LAYOUT)
@@ -102,8 +101,8 @@ def _read_specs(path: Path) -> tuple[dict[str, Any], NetworkSpecs]:
         values = json.loads(path.read_text())
         network = values["NetworkSpecs"]
         if unknown := sorted(set(network) - _KNOWN_SPECS):
-            # The original hands them to the network's constructor, which refuses what it does not know; to read on
-            # without them would be another network with the same weights.
+            # The original passes all entries to the network's constructor, which refuses unknown ones. Ignoring one
+            # would load the same weights into another network.
             raise ValueError(f"{unknown[0]} is nothing that the original network has")
         specs = NetworkSpecs(
             code_length=_whole(values["CodeLength"]),
@@ -128,14 +127,14 @@ def _read_specs(path: Path) -> tuple[dict[str, Any], NetworkSpecs]:
 
 
 def _whole(value: Any) -> int:
-    """A whole number: 512, not 512.5, "512" or true. Raises ValueError."""
+    """Check for a whole number: 512, not 512.5, "512" or true. Raises: ValueError."""
     if type(value) is not int or abs(value) > 2**31:
         raise ValueError(f"{value!r} is no whole number")
     return value
 
 
 def _switch(network: dict[str, Any], name: str) -> bool:
-    """true or false; what is missing or null is false. Raises ValueError for "false", which would be taken for true."""
+    """Return true or false; a missing entry or null is false. Raises: ValueError, e.g. for the string "false"."""
     value = network.get(name)
     if not isinstance(value, bool | None):
         raise ValueError(f"{name} is {value!r}, neither true nor false")
@@ -143,7 +142,7 @@ def _switch(network: dict[str, Any], name: str) -> bool:
 
 
 def _codes(content: dict[str, Any], length: int, path: Path) -> Tensor:
-    """(N, code) from the three forms there are: an embedding's state, a tensor N x 1 x code, a list of tensors."""
+    """Return (N, code) from any of three forms: an embedding's state, a tensor N x 1 x code, a list of tensors."""
     found = content.get("latent_codes")
     if isinstance(found, dict):
         found = found.get("weight")
@@ -163,7 +162,7 @@ def _codes(content: dict[str, Any], length: int, path: Path) -> Tensor:
 
 
 def _instances(values: dict[str, Any], count: int, path: Path) -> tuple[str, ...]:
-    """The names in specs.json; the original keeps them in its split files: then numbers, as shape_00042."""
+    """Return the names in specs.json. The original keeps names in its split files; without names: shape_00042 etc."""
     listed = values.get("Instances")
     if listed is None:
         return tuple(f"shape_{index:05d}" for index in range(count))
@@ -213,7 +212,7 @@ def _take(left: dict[str, Any], name: str, path: Path) -> Tensor:
 
 
 def _folded(left: dict[str, Any], name: str, path: Path) -> Tensor:
-    """A layer's weight, from the pair that weight norm keeps where there is one (length, direction)."""
+    """Return a layer's weight, folded from the weight-norm pair (length, direction) if there is one."""
     for length, direction in (
         ("weight_g", "weight_v"),
         ("parametrizations.weight.original0", "parametrizations.weight.original1"),
@@ -225,7 +224,7 @@ def _folded(left: dict[str, Any], name: str, path: Path) -> Tensor:
                 raise InputError(what, where=str(path), remedy="Save one length a row")
             lengths = v.norm(dim=1, keepdim=True)
             if not bool(torch.isfinite(lengths).all()):
-                # Squares beyond float32: the quotient would be zero, and the layer gone without a word.
+                # Squares beyond float32: the quotient would be zero and silently disable the layer.
                 what = f"{name}.{direction} holds values that are not finite, or too large"
                 raise InputError(what, where=str(path), remedy="Copy it again")
             return torch.mul(v, g.reshape(-1, 1) / lengths)

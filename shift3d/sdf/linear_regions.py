@@ -1,12 +1,12 @@
-"""A ReLU decoder along a line is piecewise linear before its tanh: one region at a time, in closed form.
+"""Linear regions of a ReLU decoder along a line, one region at a time, in closed form.
 
-On a line x(k) = x + k d every pre-activation is linear in k until the first unit switches, so the value and the slope
-at one place describe the whole region, the place where it ends is known, and a root on it is a quotient. Traversal from
-region to region therefore finds the FIRST root of a beam without a step size that could be too long.
+On a line x(k) = x + k d every pre-activation is linear in k until the first unit switches. Value and slope at one place
+therefore describe the whole region, the region's end is known, and a root in the region is a quotient. Traversal from
+region to region finds the FIRST root of a beam, without a step size that could be too long.
 
-Source: the observation is that of Sotoudeh & Thakur 2019 (exact linear restrictions of networks); traversal region by
-region from the sensor, instead of layer by layer over the whole line, is our choice: only the part before the first
-root is wanted.
+Source: Sotoudeh & Thakur 2019 (exact linear restrictions of networks) for the observation. Traversal region by region
+from the sensor, instead of layer by layer over the whole line, is our choice: only the part before the first root is
+needed.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from shift3d.sdf.affine import affine
 
 @dataclass(frozen=True)
 class LinearRegion:
-    """What a line does until the next unit switches; (N,) each, in the network's dtype.
+    """Values on N lines until the next unit switches; (N,) each, in the network's dtype.
 
-    value: pre-tanh output at the start: zero where g is zero, of the sign of g. slope: its derivative per unit of
-    the line's parameter. length: how far the region reaches, infinite where no unit switches any more.
+    value: pre-tanh output at the start; it has the sign and the zeros of g. slope: derivative of the output by the
+    line's parameter. length: of the region, in units of the parameter; infinite if no further unit switches.
     """
 
     value: Tensor
@@ -36,16 +36,16 @@ class LinearRegion:
 def linear_region(
     weights: Sequence[Tensor], biases: Sequence[Tensor], skip_layer: int, x: Tensor, direction: Tensor
 ) -> LinearRegion:
-    """The linear regions on which N lines start.
+    """Compute the linear regions at the starts of N lines.
 
     Args:
-        weights, biases: of the folded decoder, see `decoder.Field`. skip_layer: before which x is fed in again.
+        weights, biases: of the folded decoder, see `decoder.Field`. skip_layer: layer that reads x again.
         x: (N, 3) starts, sdf frame. direction: (N, 3) d x / d k, sdf units per unit of the parameter k >= 0.
 
-    A unit that is exactly at its switch belongs to the region ahead. Costs two evaluations. Not differentiable.
+    A unit exactly at its switch belongs to the region ahead. Costs two evaluations. Not differentiable.
     """
     count, last = len(x), len(weights) - 1
-    hidden = entry = torch.cat((x, direction))  # values above, derivatives below: one product for both
+    hidden = entry = torch.cat((x, direction))  # values above, derivatives below: one product serves both
     length = torch.full((count,), torch.inf, dtype=x.dtype)
     for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         if layer == skip_layer:

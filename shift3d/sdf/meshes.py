@@ -1,4 +1,4 @@
-"""Surfaces of a field by marching cubes, evaluated only where the surface can be, and distances between surfaces."""
+"""Surface extraction by marching cubes with the field evaluated near the surface only, and surface distances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from shift3d.errors import InputError
 
 
 def distance_to_surface(points: NDArray[np.float64], mesh: trimesh.Trimesh) -> NDArray[np.float64]:
-    """Distance of points (N, 3) to the nearest point of a mesh's triangles, (N,), in the mesh's unit."""
+    """Compute distances (N,) from points (N, 3) to the nearest point of a mesh's triangles, in the mesh's unit."""
     import igl
 
     squared = igl.point_mesh_squared_distance(
@@ -27,11 +27,11 @@ def distance_to_surface(points: NDArray[np.float64], mesh: trimesh.Trimesh) -> N
 
 
 def symmetric_chamfer(a: trimesh.Trimesh, b: trimesh.Trimesh, rng: np.random.Generator, count: int = 20_000) -> float:
-    """Symmetric Chamfer distance: the mean of the two directed mean distances, in the meshes' unit.
+    """Compute the symmetric Chamfer distance: mean of the two directed mean distances, in the meshes' unit.
 
     (mean over p on a of d(p, b) + mean over q on b of d(q, a)) / 2, with p and q `count` points uniform over the area
-    and d the unsquared distance to the nearest point of the other SURFACE, not of a sample of it: two samples of one
-    surface would otherwise be some centimetres apart.
+    and d the unsquared distance to the nearest point of the other SURFACE. Distances to a sample of the surface would
+    be some centimetres even between two samples of one surface.
     Source: our choice: DeepSDF reports squared point-to-point distances in its unit sphere, no lengths in metres.
     """
     on_a, _ = trimesh.sample.sample_surface(a, count, seed=rng)
@@ -42,9 +42,9 @@ def symmetric_chamfer(a: trimesh.Trimesh, b: trimesh.Trimesh, rng: np.random.Gen
 
 PointField = Callable[[Tensor], Tensor]
 Array = NDArray[np.float32]
-# The surface lies inside the unit sphere by construction of the samples.
+# By construction of the samples the surface is inside the unit sphere.
 HALF_EXTENT = 1.0
-_CHUNK = 8192  # points evaluated at once
+_CHUNK = 8192  # points per evaluation
 
 
 def _evaluate(field: PointField, points: Array) -> Array:
@@ -58,7 +58,7 @@ def _nodes(count: int, index: NDArray[np.int64]) -> Array:
 
 
 def _doubled(values: Array) -> Array:
-    """The grid with a node between every two, interpolated linearly: (R, R, R) -> (2R - 1, 2R - 1, 2R - 1)."""
+    """Insert a linearly interpolated node between every two: (R, R, R) -> (2R - 1, 2R - 1, 2R - 1)."""
     for axis in range(3):
         moved = np.moveaxis(values, axis, 0)
         finer = np.empty((2 * len(moved) - 1, *moved.shape[1:]), np.float32)
@@ -71,18 +71,17 @@ def _doubled(values: Array) -> Array:
 def field_on_grid(
     field: PointField, resolution: int, coarsest: int = 24, margins: tuple[float, float] = (1.75, 1.1)
 ) -> tuple[Array, float]:
-    """Values on a cube grid over [-1, 1]^3: exact near the surface, interpolated far from it.
+    """Sample a field on a cube grid over [-1, 1]^3: exact near the surface, interpolated far from it.
 
-    The grid is doubled from at most `coarsest` cells an axis; at every doubling the nodes whose interpolated value says
-    that the surface may be within a cell are evaluated. A field close to a distance loses no part that way, however
-    thin.
+    The first grid has at most `coarsest` cells per axis. Each doubling evaluates the nodes whose interpolated value
+    allows the surface within a cell. A field close to a distance loses no part that way, however thin.
 
     Args:
         field: points (N, 3) float32, sdf frame -> (N,) values.
         resolution: nodes along each axis, rounded up so that the grid can be doubled.
         coarsest: cells along each axis of the first grid, all of whose nodes are evaluated.
-        margins: how far from the surface nodes are evaluated at the first doubling and at later ones, in cells of the
-            grid that is doubled. Half of the default loses parts that are thinner than a cell, and half the time.
+        margins: distance from the surface within which nodes are evaluated, at the first doubling and at later ones,
+            in cells of the coarser grid. Half of the default loses parts thinner than a cell, and saves half the time.
     Returns: values (R, R, R) float32 indexed x, y, z, and the grid spacing in sdf units.
     """
     doublings = max(0, int(np.ceil(np.log2(max(resolution - 1, 1) / coarsest))))
@@ -98,7 +97,7 @@ def field_on_grid(
 
 
 def extract_mesh(field: PointField, resolution: int = 128) -> trimesh.Trimesh:
-    """The zero surface of a field.
+    """Extract the zero surface of a field.
 
     Args:
         field: points (N, 3) float32, sdf frame -> (N,) values, negative inside.
@@ -112,10 +111,7 @@ def extract_mesh(field: PointField, resolution: int = 128) -> trimesh.Trimesh:
 
 
 def zero_surface(values: Array, step: float) -> trimesh.Trimesh:
-    """The zero surface of values on a grid over [-1, 1]^3, as `field_on_grid` gives them: closed, outward normals.
-
-    Raises: InputError when there is none.
-    """
+    """Extract the zero surface of `field_on_grid`: closed, outward normals. Raises: InputError if there is none."""
     if not (values.min() < 0.0 < values.max()):
         raise InputError("the field has no surface", "extract_mesh", "Give a latent code nearer to the prior")
     padded = np.pad(values, 1, constant_values=float(np.abs(values).max()))

@@ -1,4 +1,4 @@
-"""The principal components of known codes, and the ball of coordinates that most draws lie in."""
+"""Principal components of known latent codes, and the radius of the ball that contains most Gaussian draws."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ _BALL = 0.95
 
 
 def ball_radius(components: int) -> float:
-    """Radius, in standard deviations, of the ball that holds 95 % of a Gaussian's draws of k coordinates.
+    """Compute the radius, in standard deviations, of the ball with 95 % of a Gaussian's draws in k dimensions.
 
-    The square root of chi-squared's quantile. Source: the share is our choice.
+    The radius is the square root of the chi-squared quantile. Source: the share is our choice.
     """
     return float(np.sqrt(2.0 * gammaincinv(components / 2, _BALL)))
 
 
 def principal_components(codes: NDArray[np.float32], components: int, where: str) -> tuple[Array, Array, Array]:
-    """Mean (d,), standard deviations (k,) along the first components, and these (k, d), unit vectors.
+    """Compute mean (d,), standard deviations (k,) and unit vectors (k, d) of the first principal components.
 
-    codes: (N, d). where: whose codes they are, for messages.
+    codes: (N, d). where: origin of the codes, for messages.
     Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
     """
     if len(codes) < components + 2:

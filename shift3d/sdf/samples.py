@@ -1,4 +1,4 @@
-"""Mesh -> samples of its signed distance, as DeepSDF takes them."""
+"""Samples of a mesh's signed distance, distributed as in DeepSDF."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 
-# Park et al. 2019, supplement: two Gaussian variances about the surface, in units of the unit sphere; the sphere is
-# the bounding one, enlarged by 3 %.
+# Park et al. 2019, supplement: two Gaussian variances about the surface, in units of the unit sphere, which is the
+# bounding sphere enlarged by 3 %.
 NEAR_VARIANCES = (0.0025, 0.00025)
 SPHERE_MARGIN = 1.03
 
 
 @dataclass(frozen=True)
 class SdfSamples:
-    """Samples of one shape.
+    """Signed-distance samples of one shape.
 
     points: (N, 3) float32, sdf frame, unit sphere. distances: (N,) float32, sdf units, negative inside.
     scale_m: metres per sdf unit, so that x_sdf = (x_mesh - centre of the mesh's box) / scale_m.
@@ -30,10 +30,10 @@ class SdfSamples:
 
 
 def is_closed(mesh: trimesh.Trimesh) -> bool:
-    """Whether every edge is passed as often in one direction as in the other: then inside and outside are defined.
+    """True if every edge is used equally often in both directions, so that inside and outside are defined.
 
-    Weaker than trimesh's is_watertight, which wants exactly two triangles an edge and does not look at directions:
-    where pieces touch, four triangles share an edge and the solid is as good.
+    Weaker than trimesh's is_watertight, which requires exactly two triangles per edge and ignores directions. Where
+    pieces touch, four triangles share an edge, and the mesh still bounds a solid.
     """
     edges = np.asarray(mesh.edges)
     if len(edges) == 0:
@@ -44,7 +44,7 @@ def is_closed(mesh: trimesh.Trimesh) -> bool:
 
 
 def winding_number(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How often a closed mesh goes around points (N, 3), (N,): 1 inside, 0 outside; approximate (libigl, fast)."""
+    """Compute the winding number (N,) of a closed mesh at points (N, 3): 1 inside, 0 outside; approximate (libigl)."""
     import igl
 
     vertices, faces = np.ascontiguousarray(mesh.vertices, np.float64), np.ascontiguousarray(mesh.faces, np.int64)
@@ -52,10 +52,10 @@ def winding_number(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArra
 
 
 def signed_distance(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Exact signed distance (N,) to a closed mesh, negative inside, in the mesh's unit (libigl).
+    """Compute the exact signed distance (N,) to a closed mesh, negative inside, in the mesh's unit (libigl).
 
-    The sign is that of the pseudonormals; where some edges have more than two triangles, which leaves those
-    undefined, that of the winding number.
+    The sign comes from pseudonormals. These are undefined for edges with more than two triangles; for such a mesh the
+    sign comes from the winding number.
     """
     import igl
 
@@ -69,12 +69,12 @@ def signed_distance(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArr
 
 
 def bounding_scale(mesh: trimesh.Trimesh) -> float:
-    """Radius, in the mesh's unit, of the sphere about the centre of its box that holds it, 3 % enlarged."""
+    """Return the radius, in the mesh's unit, of the bounding sphere about the box's centre, enlarged by 3 %."""
     return float(np.linalg.norm(mesh.vertices - mesh.bounds.mean(axis=0), axis=1).max() * SPHERE_MARGIN)
 
 
 def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> SdfSamples:
-    """Signed-distance samples of a closed mesh.
+    """Sample the signed distance of a closed mesh.
 
     Args:
         mesh: closed (see `is_closed`), normals outwards, any unit.
@@ -93,7 +93,7 @@ def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> S
 def sample_sdf_within(
     unit: trimesh.Trimesh, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """As `sample_sdf` for a closed mesh that lies in the unit sphere already: points (N, 3) and distances (N,)."""
+    """Sample as `sample_sdf` a closed mesh that is already in the unit sphere: points (N, 3), distances (N,)."""
     near = int(0.47 * count)
     clouds = []
     for variance in NEAR_VARIANCES:

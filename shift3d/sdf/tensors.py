@@ -1,7 +1,7 @@
-"""Tensors of a decoder's file, checked before a network is built from them.
+"""Checks of the tensors in a decoder file before a network is built from them.
 
-A file is not trusted to say how much memory its network takes: shapes are compared first, so that what is allocated
-was read from the file.
+The file's metadata is not trusted with the network's memory: shapes are compared first, so that every allocation
+matches tensors that were read from the file.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from torch import Tensor, nn
 from shift3d.errors import InputError
 
 LARGEST_INPUT = 100.0
-"""Of a code's entries and of coordinates in the unit sphere: trained codes stay below 1."""
+"""Largest absolute value of a code's entries and of coordinates in the unit sphere. Trained codes stay below 1."""
 _LARGEST_VALUE = 1e30
-"""Of anything in a network. float32 ends at 3e38, and a sum beyond it is infinite, the difference of two such NaN.
-Trained decoders reach at most 1e14 by this estimate."""
-_LARGEST_NORMED = 1e18  # a layer norm squares its input
+"""Largest absolute value inside a network. float32 ends at 3e38; a sum beyond it is infinite, and the difference of two
+infinities is NaN. Trained decoders reach at most 1e14 by the estimate of `check_magnitude`."""
+_LARGEST_NORMED = 1e18  # before a layer norm, which squares its input
 
 
 def without_subnormals(weight: Tensor) -> Tensor:
-    """The weight (any shape) with values below 1e-20 set to zero.
+    """Return the weight (any shape) with values below 1e-20 set to zero.
 
-    Weight norm leaves such values in units that died. They change no sum, but products with them are subnormal
-    numbers, and those made a backward pass through the decoder seven times slower (120 ms for 17 ms).
+    Weight norm leaves tiny values in dead units. They change no sum, but products with them are subnormal numbers,
+    which made a backward pass through the decoder seven times slower (120 ms instead of 17 ms).
     """
     return torch.where(weight.abs() < 1e-20, torch.zeros_like(weight), weight)
 
 
 def is_plain(value: Any) -> TypeGuard[Tensor]:
-    """Whether a value is a dense tensor of real floating-point numbers in memory: not sparse, integer or complex."""
+    """True if a value is a dense, real floating-point tensor in CPU memory: not sparse, integer or complex."""
     return (
         isinstance(value, Tensor)
         and value.layout is torch.strided
@@ -42,7 +42,7 @@ def is_plain(value: Any) -> TypeGuard[Tensor]:
 
 
 def described(value: Tensor) -> str:
-    """What a tensor is that is not plain, for the error that names it."""
+    """Describe a tensor that is not plain, for an error message."""
     dtype, layout = (str(word).removeprefix("torch.") for word in (value.dtype, value.layout))
     return f"is {dtype}, {layout}, on {value.device.type}: not dense floating-point numbers"
 
@@ -53,11 +53,11 @@ def checked_tensors(
     where: str,
     named: Mapping[str, str] | None = None,
 ) -> dict[str, Tensor]:
-    """The tensors of a network, float32, finite, without subnormal values.
+    """Check a network's tensors and return them as finite float32 without subnormal values.
 
     Args:
-        shapes: of every tensor that there must be. where: the file. named: what the file calls them, where it differs.
-    Raises: InputError naming the file and the tensor that is missing, surplus, no dense floating-point tensor, of
+        shapes: of all required tensors. where: the file. named: the file's names of tensors, if they differ.
+    Raises: InputError naming the file and the tensor that is missing, surplus, not a dense floating-point tensor, of
         another shape, or not finite in float32.
     """
     called = dict(named or {})
@@ -83,13 +83,13 @@ def checked_tensors(
 def check_magnitude(
     tensors: Mapping[str, Tensor], entries: Sequence[int], norms: Mapping[int, nn.LayerNorm], where: str
 ) -> None:
-    """Refuse weights with which a value could overflow float32, whatever the code and the point.
+    """Refuse weights with which a value could overflow float32 for some code and point.
 
     Args:
-        tensors: `layers.<i>.weight|bias`. entries: how many inputs each linear layer reads beside the one before it.
-        norms: layer norms by the layer that they follow. where: the file.
-    Raises: InputError naming the file and the layer, where some value may exceed 1e30 (1e18 before a layer norm) with
-        inputs of at most LARGEST_INPUT. An upper bound: |W| h + |b|, layer by layer, in float64.
+        tensors: `layers.<i>.weight|bias`. entries: number of inputs of each linear layer beside the previous layer.
+        norms: layer norms by the layer before them. where: the file.
+    Raises: InputError naming the file and the layer, if some value may exceed 1e30 (1e18 before a layer norm) with
+        inputs of at most LARGEST_INPUT. The estimate is an upper bound: |W| h + |b|, layer by layer, in float64.
     """
     hidden = torch.zeros(0, dtype=torch.float64)
     for index, entry in enumerate(entries):
@@ -97,7 +97,7 @@ def check_magnitude(
         hidden = torch.cat([hidden, torch.full((entry,), LARGEST_INPUT, dtype=torch.float64)])
         hidden = weight.double().abs() @ hidden + bias.double().abs()
         limit = _LARGEST_NORMED if index in norms else _LARGEST_VALUE
-        if not float(hidden.max()) <= limit:  # so that NaN does not pass
+        if not float(hidden.max()) <= limit:  # written so that NaN fails
             what = f"the weights up to layer {index} are so large that values overflow"
             raise InputError(what, where=where, remedy="Give the weights as trained")
         if index in norms:

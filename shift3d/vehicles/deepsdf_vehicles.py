@@ -1,4 +1,4 @@
-"""The vehicles of a DeepSDF experiment: any of its codes, scaled to a length and measured."""
+"""Vehicle source for a DeepSDF experiment: its latent codes, scaled to a length and measured."""
 
 from __future__ import annotations
 
@@ -17,31 +17,30 @@ from shift3d.vehicles.parameter_box import BoxOfParameters
 from shift3d.vehicles.sources import VehicleSource, known
 from shift3d.vehicles.vehicle import Vehicle, decoded_corners, framed
 
-# A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
+# A plan needs names and hashes only, so the decoder modules are imported where a vehicle is decoded.
 if TYPE_CHECKING:
     from shift3d.sdf.decoder import Decoder
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.sdf.foreign import Experiment
 
-_SHORTEST_CODE = 1e-6  # trained codes are some tenths long; shorter ones were never trained
+_SHORTEST_CODE = 1e-6  # trained codes have norms of some tenths; shorter codes are untrained
 
 
 class DeepSdfVehicles(VehicleSource):
-    """The instances of a DeepSDF experiment, each scaled to a length and measured as the decoder draws it.
+    """Instances of a DeepSDF experiment as vehicles, each scaled to a length and measured as decoded.
 
     Args:
         folder: in the original layout. checkpoint: "latest", or an epoch.
         forward, up: axes of the sdf frame. The default is ShapeNet's, as pictures of the decoded surfaces show.
-        length_m: from nose to tail, of every vehicle, or by the beginning of a name (the longest that fits), with
-            "default" for the others. Normalised meshes have no size of their own.
-        code_norm: mean length that the experiment's codes are scaled to, the decoder's code columns inversely; None
-            leaves them as trained. No shape depends on it, but the attack does: alpha and lambda are in code units, and
-            the paper does not say how long its codes are. conf/ has 1.5, our choice. The codes of the 57 real cars are
-            0.59 long as trained, and a unit of code then moves their surface by 0.9 m (root mean square), against
-            0.35 m for the shipped vehicles: five steps led to twice the code's length off the car. At 1.5 a unit
-            moves both kinds of surface alike; it was chosen for that, not by what an attack then reaches.
-
-    Raises: InputError for an axis or a length that cannot be used.
+        length_m: from nose to tail: one value for all vehicles, or values by name prefix (the longest match wins),
+            with "default" for the others. Normalised meshes have no metric size.
+        code_norm: mean norm to which the experiment's codes are scaled; the decoder's code columns are scaled
+            inversely. None keeps the trained scale. Shapes do not depend on it, but the attack does: alpha and lambda
+            are in code units, and the paper does not state the norm of its codes. conf/ has 1.5, our choice. The codes
+            of the 57 real cars have norm 0.59 as trained, and a unit of code then moves their surface by 0.9 m (root
+            mean square), against 0.35 m for the shipped vehicles: five steps led to twice the code's norm off the car.
+            At 1.5 a unit moves both kinds of surface alike; that, not the attack's results, decided the choice.
+    Raises: InputError for an invalid axis or length.
     Source: SHIFT3D, Setup ("manually scaled each baseline object" to realistic dimensions).
     """
 
@@ -71,7 +70,7 @@ class DeepSdfVehicles(VehicleSource):
 
     @functools.cached_property
     def _code_scale(self) -> float:
-        """Factor from codes as trained to codes as used."""
+        """Factor from trained codes to codes in use."""
         if self._code_norm is None:
             return 1.0
         mean = float(self._experiment.codes.double().norm(dim=1).mean())
@@ -103,7 +102,7 @@ class DeepSdfVehicles(VehicleSource):
         raise InputError(what, f"{self._folder}, attack.space=parameters", remedy)
 
     def decoder(self) -> Decoder | DeepSdfNetwork:
-        """See `VehicleSource`. The same object every time."""
+        """Return the decoder, see `VehicleSource`; the same object every time."""
         return self._scaled
 
     def decoder_hash(self) -> str:
@@ -115,9 +114,9 @@ class DeepSdfVehicles(VehicleSource):
         return digest.hexdigest()
 
     def vehicle(self, name: str) -> Vehicle:
-        """See `VehicleSource`. The first call for a name decodes its surface: some seconds.
+        """Return a vehicle, see `VehicleSource`. The first call for a name decodes its surface: some seconds.
 
-        The origin of its object frame is the centre of the decoded box, and its size the box's, to the millimetre.
+        The origin of the object frame is the centre of the decoded box, and size_m the box's size, to the millimetre.
         """
         if name not in self._measured:
             index = known(name, {name: i for i, name in enumerate(self.names())}, self._folder)

@@ -1,6 +1,6 @@
-"""How well the decoder knows the family: Chamfer distances on vehicles it was trained on and on unseen ones.
+"""Fidelity of the shipped decoder on the vehicle family: Chamfer distances for training vehicles and unseen ones.
 
-`shift3d evaluate model=sdf` prints both medians; see `shift3d.sdf.meshes` for the definition.
+`shift3d evaluate model=sdf` prints both medians; `shift3d.sdf.meshes` defines the distance.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from shift3d.vehicles.family import build_mesh, family
 from shift3d.vehicles.vehicle import family_seed, family_vehicles
 
 UNSEEN_SEED_OFFSET = 1_000_003
-"""From the seed of a training to that of vehicles of the same family that it never saw."""
+"""Offset from the training seed to the seed of vehicles of the same family that training never saw."""
 
 
 def decoded_chamfer_m(decoder: Decoder, code: torch.Tensor, scale_m: float, mesh: trimesh.Trimesh, seed: int) -> float:
-    """Symmetric Chamfer distance in metres between a code's decoded surface and a mesh in the object frame."""
+    """Compute the symmetric Chamfer distance in metres between a decoded code and a mesh in the object frame."""
     decoded = extract_mesh(decoder.field(code), 129)
     decoded.vertices = decoded.vertices * scale_m
     return symmetric_chamfer(decoded, mesh, generator("chamfer", seed))
 
 
 def training_chamfer_m(decoder: Decoder, count: int) -> NDArray[np.float64]:
-    """Chamfer distances (count,) metres of training vehicles, from their trained codes, body types in turn."""
+    """Compute Chamfer distances (count,) metres of training vehicles with their trained codes, body types in turn."""
     vehicles = family_vehicles()
     specs = family(len(vehicles), family_seed())
     results = []
@@ -41,7 +41,7 @@ def training_chamfer_m(decoder: Decoder, count: int) -> NDArray[np.float64]:
 
 
 def unseen_chamfer_m(decoder: Decoder, count: int) -> NDArray[np.float64]:
-    """Chamfer distances (count,) metres of unseen vehicles, each auto-decoded from samples of its mesh."""
+    """Compute Chamfer distances (count,) metres of unseen vehicles, each auto-decoded from samples of its mesh."""
     results = []
     seed = family_seed()
     for index, spec in enumerate(family(count, seed + UNSEEN_SEED_OFFSET)):

@@ -1,4 +1,4 @@
-"""Vehicles from meshes by a decoder as it is: each mesh's code found by auto-decoding, and the vehicle set of them."""
+"""Fit of a vehicle set to meshes: a frozen decoder and one auto-decoded latent code per mesh."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024
 PICTURES, KEPT = "pictures", "kept"
 _CODE = ("vehicles", "sdf", "seeding.py", "processor.py")
 USUAL, WORST_USUAL = 0.0042, 0.008
-"""Distances from the mesh, as shares of the vehicle's length: the median and the worst of 19 cars that the shipped
-decoder does not know (1.9 cm and 3.6 cm of 4.5 m)."""
+"""Chamfer distance over vehicle length: median and maximum of 19 cars that the shipped decoder was not trained on
+(1.9 cm and 3.6 cm of 4.5 m)."""
 
 
 @dataclass(frozen=True)
 class MeshFit:
-    """A vehicle fitted to a mesh, and what speaks against it.
+    """A vehicle fitted to a mesh, with the diagnostics of the fit.
 
-    better: another orientation and the distance in metres with which the decoder draws the mesh, where that is nearer.
-    repair: what it took to close the mesh. facts: for sdf.json.
+    better: another orientation and its Chamfer distance in metres, if the decoder fits the mesh better in it.
+    repair: report of the mesh's repair. facts: for sdf.json.
     """
 
     vehicle: FittedVehicle
@@ -54,36 +54,35 @@ class MeshFit:
 
     @property
     def picture(self) -> Path:
-        """Below the set's folder: the mesh beside what the decoder makes of it."""
+        """Path, below the set's folder, of the picture of the mesh beside the decoded surface."""
         return Path(PICTURES) / f"{self.vehicle.name}.png"
 
     @property
     def usual_m(self) -> float:
-        """How far vehicles of this length usually are from their meshes."""
+        """Usual Chamfer distance in metres for a vehicle of this length."""
         return USUAL * (self.vehicle.bounds_m[1][0] - self.vehicle.bounds_m[0][0])
 
     @property
     def far(self) -> bool:
-        """Whether it is farther from its mesh than any car that the shipped decoder was tried on."""
+        """True if the Chamfer distance exceeds that of every car that the shipped decoder was tried on."""
         return self.vehicle.chamfer_m > WORST_USUAL / USUAL * self.usual_m
 
 
 def fit_meshes(
     path: Path | str, frame: MeshFrame, out: Path | str, decoder_file: Path | str | None = None, steps: int = STEPS
 ) -> list[MeshFit]:
-    """Find a code for every mesh at a path and write the vehicle set, with a picture of each beside its mesh.
+    """Fit a code to every mesh at a path and write the vehicle set, with a picture of each mesh beside its fit.
 
-    ``out``/kept holds what was found for each mesh: the same call again fits those that are missing or damaged there,
-    and those whose files, or the decoder or the program, have changed since. The set is the same whether it was killed
-    or not.
+    ``out``/kept caches the fit of each mesh. A repeated call fits only the meshes whose cache entry is missing or
+    damaged, or whose file, decoder or program version has changed. The result is the same with and without a kill.
 
     Args:
-        path: a mesh, or a folder (`find_meshes`). frame: its orientation and scale.
-        out: folder of the vehicle set, whose sdf.json says what was repaired and how far each code is off.
-        decoder_file: default the shipped one. It draws what it was trained on, and nothing far from that well.
-        steps: of the search for a code.
-    Returns: the fits, sorted by name. On stderr it says how far it is.
-    Raises: InputError for a mesh that cannot be used; among several, such a mesh is left out and said so.
+        path: a mesh, or a folder (`find_meshes`). frame: orientation and scale of the meshes.
+        out: folder of the vehicle set; its sdf.json lists the repairs and each code's Chamfer distance.
+        decoder_file: default the shipped decoder. A decoder draws only shapes near its training data well.
+        steps: optimizer steps of the search for a code.
+    Returns: the fits, sorted by name. Progress goes to stderr.
+    Raises: InputError for an unusable mesh; among several meshes an unusable one is left out and reported.
     """
     source = Path(decoder_file).expanduser() if decoder_file is not None else DEFAULT_WEIGHTS
     decoder = load_decoder(source)
@@ -99,7 +98,7 @@ def fit_meshes(
 
     as_json, fits = TypeAdapter(MeshFit), dict[MeshFile, tuple[MeshFit, bytes]]()
     for file in files:
-        with contextlib.suppress(InputError):  # said where it is fitted
+        with contextlib.suppress(InputError):  # the fit below reports the error
             if content := read_kept(kept(file)):
                 text, _, picture = content.partition(b"\n")
                 fits[file] = as_json.validate_json(text), picture
@@ -109,7 +108,7 @@ def fit_meshes(
     bar = progress_bar(left, desc="fitting meshes", unit="mesh", **shown)
 
     def say(text: str) -> None:
-        """Beside the bar, or in a line of its own."""
+        """Print beside the progress bar, or on a separate line if the bar is off."""
         if bar.disable:
             write_line(text)
         else:
@@ -117,7 +116,7 @@ def fit_meshes(
 
     for file in bar:
         try:
-            place = kept(file)  # before it is read: one that changes meanwhile is fitted again
+            place = kept(file)  # before the fit reads the file: a file that changes meanwhile is fitted again
             fit, picture = fits[file] = _fit(file, frame, decoder, steps, say)
         except InputError as error:
             if len(files) == 1:
@@ -148,7 +147,7 @@ def fit_meshes(
 def _fit(
     file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, say: Callable[[str], None]
 ) -> tuple[MeshFit, bytes]:
-    """One mesh, and its picture as PNG. say: told each stage from when the file is read."""
+    """Fit one mesh and draw its picture as PNG. say: receives the name of each stage."""
     sha256 = file.sha256()
     vehicle = read_mesh_vehicle(file, frame)
     say(f"{vehicle.name}: measuring distances to its surface")
@@ -177,7 +176,7 @@ def _fit(
 def _better(
     done: FittedVehicle, vehicle: MeshVehicle, frame: MeshFrame, decoder: Decoder, samples: SdfSamples, steps: int
 ) -> tuple[MeshFrame, float] | None:
-    """Another orientation, and its distance in metres, where that is shorter than what was found."""
+    """Return another orientation and its Chamfer distance in metres, if that distance is smaller than `done`'s."""
     other = better_frame(decoder, samples, frame)
     if other is None:
         return None
@@ -186,6 +185,6 @@ def _better(
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
     try:
         chamfer_m = fitted(done.name, done.body_type, decoder, code, samples.scale_m, mesh)[0].chamfer_m
-    except InputError:  # that way round it draws no surface
+    except InputError:  # the code decodes to no surface in this orientation
         return None
     return (other, chamfer_m) if chamfer_m < done.chamfer_m else None

@@ -1,4 +1,4 @@
-"""Vehicles in mesh files: one PLY, OBJ, GLB or STL, a folder of them, or a folder in ShapeNet's layout."""
+"""Readers of vehicle meshes: one PLY, OBJ, GLB or STL file, a folder of them, or a folder in ShapeNet's layout."""
 
 from __future__ import annotations
 
@@ -28,19 +28,16 @@ SHAPENET_FILE = Path("models") / "model_normalized.obj"
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A file and the name that its vehicle gets."""
+    """A mesh file and the name of its vehicle."""
 
     name: str
     path: Path
 
     def sha256(self) -> str:
-        """Hash of the file's bytes, hexadecimal; of a .gltf, with those of the files that hold its vertices.
-
-        Raises: InputError: it cannot be read.
-        """
+        """Compute the file's SHA-256, hex, for a .gltf with its vertex files. Raises: InputError if unreadable."""
         digest = hashlib.sha256(content := _content(self.path))
         for part in _files_beside(content) if self.path.suffix.lower() == ".gltf" else ():
-            if (file := self.path.parent / part).is_file():  # reading the mesh says what is missing
+            if (file := self.path.parent / part).is_file():  # `read_mesh` reports missing files
                 digest.update(_content(file))
         return digest.hexdigest()
 
@@ -53,7 +50,7 @@ def _content(path: Path) -> bytes:
 
 
 def _files_beside(gltf: bytes) -> list[str]:
-    """The files that a .gltf's buffers name; none where it cannot be read, which reading the mesh says."""
+    """Return the files named by a .gltf's buffers; none for an unreadable .gltf, which `read_mesh` reports."""
     try:
         buffers = json.loads(gltf)["buffers"]
         uris = [str(buffer["uri"]) for buffer in buffers if "uri" in buffer]
@@ -63,13 +60,12 @@ def _files_beside(gltf: bytes) -> list[str]:
 
 
 def find_meshes(path: Path | str) -> list[MeshFile]:
-    """The meshes at a path, sorted by name.
+    """Find the meshes at a path, sorted by name.
 
-    In ShapeNet's layout, {synset}/{id}/models/model_normalized.obj at any depth below `path`, a vehicle is named by
-    its id and other files are left alone. Otherwise every mesh below `path` counts, named by its place below it
-    without the suffix. Folders that are links count as what they lead to; one that several ways lead to counts once.
-
-    Raises: InputError when there is no such path, it holds no mesh, or two of its meshes have one name.
+    In ShapeNet's layout, {synset}/{id}/models/model_normalized.obj at any depth below `path`, a vehicle's name is its
+    id, and other files are ignored. Otherwise every mesh below `path` counts; its name is its relative path without
+    suffix. Linked folders are followed; a folder with several links counts once.
+    Raises: InputError when the path does not exist, it holds no mesh, or two of its meshes have one name.
     """
     root = Path(path).expanduser()
     if root.is_file():
@@ -96,8 +92,8 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
 
 
 def _files_below(root: Path) -> Iterator[Path]:
-    """Every file below a folder. Links are followed after all else, so that what lies here has the name of its place;
-    none leads to a folder twice, nor round in circles."""
+    """Yield every file below a folder. Links are followed last, so that a file gets the name of its real path. Each
+    folder is visited once, also with circular links."""
     seen, waiting = set(), deque([root])
     while waiting:
         folder = waiting.popleft()
@@ -105,7 +101,7 @@ def _files_below(root: Path) -> Iterator[Path]:
             continue
         seen.add(real)
         inside: list[Path] = []
-        with contextlib.suppress(PermissionError):  # as a disk's lost+found
+        with contextlib.suppress(PermissionError):  # e.g. lost+found of a disk
             inside = sorted(folder.iterdir())
         yield from (entry for entry in inside if entry.is_file())
         folders = [entry for entry in inside if entry.is_dir()]
@@ -114,15 +110,15 @@ def _files_below(root: Path) -> Iterator[Path]:
 
 
 def _slug(name: str) -> str:
-    """The name with nothing in it that a file name or a Hydra override could trip over."""
+    """Replace all characters that are special in file names or Hydra overrides."""
     kept = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "-_") else "_" for letter in name)
     return f"_{kept}" if kept.lower() in ("null", "true", "false", "nan", "inf") else kept
 
 
 def read_mesh(path: Path | str) -> trimesh.Trimesh:
-    """The triangles of a file, in the file's own axes and unit: all parts of a scene, moved to where its nodes say.
+    """Read the triangles of a file, in the file's axes and unit: all parts of a scene, with their node transforms.
 
-    Textures and materials are not read. Vertices at one place are not merged: see `repair`.
+    Textures and materials are not read. Coincident vertices are not merged, see `repair`.
     Raises: InputError naming the file when it cannot be read, has no faces, or has coordinates that are not finite.
     """
     path = Path(path)
@@ -131,17 +127,17 @@ def read_mesh(path: Path | str) -> trimesh.Trimesh:
     suffix = path.suffix.lower()
     options: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", ".glb", ".gltf") else {}
     try:
-        # From memory: of a file on disk a reader would ask for as many bytes as a header says, and allocate them first.
-        # A .gltf names other files beside it.
+        # Read from memory: for a file on disk a reader allocates as many bytes as the header claims before it reads
+        # them. A .gltf refers to other files, so it needs its path.
         source: Any = path if suffix == ".gltf" else io.BytesIO(path.read_bytes())
         scene = trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
-    except Exception as error:  # every format's reader has its own errors for a broken file
+    except Exception as error:  # each format's reader raises errors of other types for a broken file
         what = f"not a readable {suffix[1:].upper()} file ({type(error).__name__}: {str(error)[:200]})"
         raise InputError(what, where=str(path), remedy="Export it again") from error
     vertices = [np.asarray(part.vertices, np.float64) for part in parts]
     if any(part.shape[1:] != (3,) for part in vertices):
-        # A line that lacks a number can make a reader take all of them for pairs.
+        # A line with a missing number can make a reader take all lines for pairs.
         raise InputError("vertices are not x, y, z", where=str(path), remedy="Export it again")
     starts = np.cumsum([0, *(len(part) for part in vertices)])
     faces = [np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=False)]
@@ -161,7 +157,7 @@ UNKNOWN_BODY_TYPE = "vehicle"
 
 @dataclass(frozen=True)
 class MeshVehicle:
-    """A vehicle's closed mesh in the object frame, metres, and where it comes from."""
+    """A vehicle's closed mesh in the object frame, metres, with its source file and repair report."""
 
     name: str
     file: MeshFile
@@ -170,18 +166,18 @@ class MeshVehicle:
 
     @property
     def body_type(self) -> str:
-        """The body type that the name begins with, or UNKNOWN_BODY_TYPE."""
+        """Body type that the name begins with, or UNKNOWN_BODY_TYPE."""
         known = (body_type for body_type in BODY_TYPES + MORE_BODY_TYPES if self.name.startswith(body_type))
         return next(known, UNKNOWN_BODY_TYPE)
 
     @property
     def size_m(self) -> tuple[float, float, float]:
-        """Length, width and height of the mesh's box."""
+        """Length, width and height of the mesh's box, metres."""
         extent = np.ptp(np.asarray(self.mesh.vertices), axis=0)
         return (float(extent[0]), float(extent[1]), float(extent[2]))
 
     def facts(self) -> dict[str, Any]:
-        """For a JSON file."""
+        """Return the description as plain values for a JSON file."""
         return {
             "name": self.name,
             "file": str(self.file.path),
@@ -193,9 +189,9 @@ class MeshVehicle:
 
 
 def read_mesh_vehicle(file: MeshFile, frame: MeshFrame) -> MeshVehicle:
-    """Read one file.
+    """Read and repair the mesh of one file.
 
-    Raises: InputError naming the file: unreadable, no faces, the wrong unit or orientation, or not to be repaired.
+    Raises: InputError naming the file: unreadable, no faces, wrong unit or orientation, or impossible to repair.
     """
     where = str(file.path)
     mesh, report = repaired(frame.to_object(read_mesh(file.path), where), where)

@@ -1,4 +1,4 @@
-"""From a mesh file's axes and unit to the object frame: x forward, y left, z up, metres, origin at the box's centre."""
+"""Transform from a mesh file's axes and unit to the object frame: x forward, y left, z up, metres."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 LENGTH_M = (2.0, 20.0)
-"""Lengths that a road vehicle can have: a microcar to a lorry. Outside them a unit or an orientation is wrong."""
+"""Length range of road vehicles, from microcar to lorry. A length outside it means a wrong unit or orientation."""
 WIDEST_M = 6.0
-"""Widths and heights, mirrors and load included, with room to spare: a cube of 20 m would take the repair, which works
-on a grid of 2.5 cm, more memory than there is."""
+"""Largest width and height, with mirrors, load and some margin. A cube of 20 m would exhaust the memory of the repair,
+which uses a grid of 2.5 cm."""
 
 
 @dataclass(frozen=True)
 class MeshFrame:
-    """Which way a file's vehicle points, and how long its unit is.
+    """Orientation and unit of a mesh file.
 
-    forward, up: axes of the file, as in "-z". The default is ShapeNet's, version 1 and 2: up +y, front -z; glTF's own
-    convention is up +y, forward +z.
-    unit: of the file, a key of UNITS_M. length_m: instead of a unit, for normalised meshes: how long the vehicle is
-    from nose to tail, in metres.
+    forward, up: axes of the file, as in "-z". The default is that of ShapeNet versions 1 and 2: up +y, front -z. glTF's
+    own convention is up +y, forward +z.
+    unit: of the file, a key of UNITS_M. length_m: vehicle length from nose to tail in metres; replaces the unit for
+    normalised meshes.
     """
 
     forward: str = "-z"
@@ -56,15 +56,15 @@ class MeshFrame:
             raise InputError(f"length_m={self.length_m:g} is no vehicle's", where="scale", remedy=remedy)
 
     def object_R_file(self) -> NDArray[np.float64]:
-        """(3, 3) rotation: rows are forward, left and up in the file's axes; always right-handed."""
+        """Return the (3, 3) rotation whose rows are forward, left and up in the file's axes; always right-handed."""
         forward, up = _axis(self.forward), _axis(self.up)
         return np.stack([forward, np.cross(up, forward), up])
 
     def to_object(self, mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
-        """A copy of a mesh in the object frame, metres, its box's centre at the origin.
+        """Return a copy of a mesh in the object frame, metres, with the box's centre at the origin.
 
-        Raises: InputError naming `where` (the file) when the mesh is flat, is longest in another direction than
-        forwards, or is no vehicle's size; the remedy then says which unit would give one.
+        Raises: InputError naming `where` (the file) when the mesh is flat, is not longest along forward, or has no
+        plausible vehicle size; the remedy names a unit that would give a plausible length.
         """
         vertices = np.asarray(mesh.vertices, np.float64) @ self.object_R_file().T
         low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -83,10 +83,7 @@ class MeshFrame:
         return trimesh.Trimesh((vertices - (low + high) / 2.0) * scale, mesh.faces, process=False)
 
     def check_direction(self, extent: NDArray[np.float64], where: str, prefix: str = "") -> None:
-        """Raise InputError naming `where` for a vehicle whose extent (3,), object frame, is not largest forwards.
-
-        prefix: of the settings' names.
-        """
+        """Raise InputError at `where` unless extent (3,), object frame, is largest along x. prefix: of settings."""
         longest = int(np.argmax(extent))
         if longest != 0:
             axis = "xyz"[int(np.argmax(np.abs(self.object_R_file()[longest])))]

@@ -1,4 +1,4 @@
-"""A vehicle's measures on its mesh, in the words and units of a data sheet."""
+"""Dimensions of a vehicle measured on its mesh, with the terms and units of a data sheet."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DEFINITIONS = {
 
 @dataclass(frozen=True)
 class Measures:
-    """What is measured on a mesh, see `DEFINITIONS`. None: the mesh does not have it."""
+    """Dimensions measured on a mesh, see `DEFINITIONS`. None: the mesh has no such feature."""
 
     length_cm: float
     width_cm: float
@@ -59,9 +59,8 @@ def measure_mesh(mesh: trimesh.Trimesh) -> Measures:
     """Measure a vehicle's mesh.
 
     Args:
-        mesh: object frame (x forward, y left, z up), metres, its lowest point on the ground.
-
-    Differentiable w.r.t. nothing. Source: our choice: definitions that also hold for a shape without wheels, which
+        mesh: object frame (x forward, y left, z up), metres; its lowest point counts as the ground.
+    Differentiable w.r.t. nothing. Source: our choice: the definitions also hold for a shape without wheels, which
     ISO 612's ground clearance (tests/unit/vehicles/mesh_dimensions.py) needs.
     """
     low, high = np.asarray(mesh.bounds, dtype=np.float64)
@@ -88,7 +87,7 @@ def measure_mesh(mesh: trimesh.Trimesh) -> Measures:
 
 
 def _pieces(mesh: trimesh.Trimesh) -> int:
-    """Outer surfaces: those of a cavity face inwards, so that their volume is negative."""
+    """Count the outer surfaces. The surface of a cavity faces inwards, so its volume is negative."""
     piece = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     a, b, c = np.moveaxis(np.asarray(mesh.triangles) - mesh.bounds.mean(axis=0), 1, 0)
     volume_m3 = np.bincount(piece, weights=(a * np.cross(b, c)).sum(axis=1) / 6.0)
@@ -96,13 +95,13 @@ def _pieces(mesh: trimesh.Trimesh) -> int:
 
 
 def _grid(low: float, high: float) -> FloatArray:
-    """Middles of cells of about a centimetre between two bounds: none lies on a bound, where a beam may slip by."""
+    """Return the centres of cells of about 1 cm. No centre lies on a bound, where a ray may miss the mesh."""
     count = max(1, round((high - low) / _STEP_M))
     return low + (high - low) * (np.arange(count) + 0.5) / count
 
 
 def _surface(mesh: trimesh.Trimesh, x: FloatArray, y: FloatArray, start_z: float, upwards: bool) -> FloatArray:
-    """z of the first surface along vertical beams at every x and y (X, Y), NaN where there is none."""
+    """Cast vertical rays at every x and y. Returns (X, Y), z of the first hit, NaN for a miss."""
     at_x, at_y = np.meshgrid(x, y, indexing="ij")
     origins = np.stack((at_x.ravel(), at_y.ravel(), np.full(at_x.size, start_z)), axis=1)
     directions = np.broadcast_to((0.0, 0.0, 1.0 if upwards else -1.0), origins.shape)
@@ -120,7 +119,7 @@ def _clearance_cm(mesh: trimesh.Trimesh, low: FloatArray, high: FloatArray) -> f
 
 
 def _outline(mesh: trimesh.Trimesh, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """x (X,) from the foremost backwards, and the highest surface near the middle there (X,), above the ground."""
+    """Return x (X,), descending, and the highest z (X,) near the centre line, above the mesh's lowest point."""
     middle = (low[1] + high[1]) / 2.0
     half = min(_MIDDLE_M, (high[1] - low[1]) / 2.0)
     x, y = _grid(low[0], high[0])[::-1], _grid(middle - half, middle + half)
@@ -130,7 +129,7 @@ def _outline(mesh: trimesh.Trimesh, low: FloatArray, high: FloatArray) -> tuple[
 
 
 def _end_cm(x: FloatArray, top: FloatArray) -> float | None:
-    """Height of an outline a tenth of its length behind its first place; x descending."""
+    """Return the outline's height in cm at a tenth of its length behind its first point; x descending."""
     if not len(x):
         return None
     behind = np.flatnonzero(x <= x[0] - _NOSE * (x[0] - x[-1]))
@@ -138,19 +137,19 @@ def _end_cm(x: FloatArray, top: FloatArray) -> float | None:
 
 
 def _slope(x: FloatArray, top: FloatArray) -> tuple[float, float] | None:
-    """The steepest climb behind the first place of an outline, degrees, and the x where it begins; x descending."""
+    """Return the steepest climb of an outline in degrees and the x where the climb begins; x descending."""
     if not len(top):
         return None
     reached = np.maximum.accumulate(top) / top.max()
     steepest, begins = 0.0, 0
     for share in np.linspace(*_WINDSHIELD_FROM, 16):
         foot, head = (int(np.argmax(reached >= level)) for level in (share, share + _WINDSHIELD_RISE))
-        # Reached within one centimetre of x: as steep as can be told.
+        # Both levels are first reached within one centimetre of x: the climb counts as vertical.
         angle = float(np.degrees(np.arctan2(top[head] - top[foot], x[foot] - x[head]))) if head > foot else 90.0
         if angle > steepest:
             steepest, begins = angle, foot
     rise = np.tan(np.radians(min(steepest, 80.0))) / 2 * _STEPS * _STEP_M
-    # Down its line, as long as the outline climbs half as steeply.
+    # Follow the climb downwards while the outline rises at least half as steeply.
     while begins >= _STEPS and top[begins] - top[begins - _STEPS] > rise:
         begins -= 1
     return steepest, float(x[begins])
@@ -159,7 +158,7 @@ def _slope(x: FloatArray, top: FloatArray) -> tuple[float, float] | None:
 def _axles_cm(
     mesh: trimesh.Trimesh, low: FloatArray, high: FloatArray
 ) -> tuple[float | None, float | None, float | None]:
-    """Front overhang, wheelbase and rear overhang."""
+    """Return front overhang, wheelbase and rear overhang in cm; all None without two axles."""
     vertices = np.asarray(mesh.vertices)
     x, middle = vertices[vertices[:, 2] < low[2] + _CONTACT_M, 0], (low[0] + high[0]) / 2.0
     axles = [

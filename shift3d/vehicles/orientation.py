@@ -1,4 +1,4 @@
-"""Which way a mesh points: the orientation that a decoder of vehicles draws best, among those along its long axis."""
+"""Search for a mesh's orientation: of the candidates along its long axis, the one that a vehicle decoder fits best."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from shift3d.vehicles.mesh_frame import AXES, MeshFrame
 
 STEPS, POINTS_A_STEP, SAMPLES = 40, 256, 2_000
 CLEARLY = 0.9
-"""Share of the given orientation's error below which another is better. Of ten cars that the shipped decoder does not
-know, none has another below 1.15 as they are; the right one has at most 0.78 of ten upside down and 0.9 of nine turned
-back to front."""
+"""Ratio to the given orientation's error below which another orientation counts as better. For ten correctly oriented
+cars unknown to the shipped decoder, no other orientation is below 1.15. The right orientation has at most 0.78 for
+these cars upside down, and at most 0.9 for nine cars turned back to front."""
 
 
 def frames_along(frame: MeshFrame) -> list[MeshFrame]:
-    """The eight orientations with the nose or the tail where `frame` has the nose, itself first."""
+    """Return the eight orientations with the nose at either end of `frame`'s forward axis; `frame` comes first."""
     forwards = [frame.forward, *(axis for axis in AXES if axis[1] == frame.forward[1] and axis != frame.forward)]
     ups = [frame.up, *(axis for axis in AXES if axis[1] != frame.forward[1] and axis != frame.up)]
     return [replace(frame, forward=forward, up=up) for forward in forwards for up in ups]
 
 
 def better_frame(decoder: Decoder, samples: SdfSamples, frame: MeshFrame) -> MeshFrame | None:
-    """The orientation that a few steps of auto-decoding draw clearly better than the given one, or None.
+    """Return an orientation that a few auto-decoding steps fit clearly better than `frame`, or None.
 
     Args: samples: of the mesh in the orientation `frame`.
-    Source: our choice: eight short searches together cost a third of the one that finds the code.
+    Source: our choice: eight short searches together cost a third of the full search for the code.
     """
     frames = frames_along(frame)
     points = torch.from_numpy(np.stack([turned(samples.points, frame, other) for other in frames]))
@@ -46,12 +46,12 @@ def better_frame(decoder: Decoder, samples: SdfSamples, frame: MeshFrame) -> Mes
 
 
 def turned(points: NDArray[Any], frame: MeshFrame, other: MeshFrame) -> NDArray[np.float32]:
-    """Points (N, 3) about the origin of the object frame that `frame` makes, in the one that `other` makes."""
+    """Transform points (N, 3) about the origin from the object frame of `frame` to that of `other`."""
     return np.asarray(points @ (other.object_R_file() @ frame.object_R_file().T).T, np.float32)
 
 
 def _errors(decoder: Decoder, codes: Tensor, points: Tensor, distances: Tensor) -> Tensor:
-    """(shapes,) mean absolute errors of the clamped distances."""
+    """Return (shapes,) mean absolute errors of the clamped distances."""
     with torch.no_grad():
         predicted = decoder.grouped(codes, points.contiguous(), torch.float32).clamp(-CLAMP, CLAMP)
     return (predicted - distances.clamp(-CLAMP, CLAMP)).abs().mean(dim=1)

@@ -1,7 +1,7 @@
-"""The parameters that a vehicle's code is made of, and how far each may go: tensors beside the vehicle's code.
+"""Parameters behind a vehicle's latent code, with their ranges: tensors stored beside the vehicle's code.
 
-For vehicle NAME, `NAME.parameters.basis` (k, code), `.start`, `.low` and `.high` (k,), float32; their names stand in
-the metadata, under the vehicle's facts, as "parameters".
+Vehicle NAME has `NAME.parameters.basis` (k, code), `.start`, `.low` and `.high` (k,), float32. The parameters' names
+are in the metadata, under "parameters" of the vehicle's entry.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from shift3d.vehicles.vehicle import CODE_LENGTH, described, read_tensors, tenso
 
 @dataclass(frozen=True)
 class BoxOfParameters:
-    """The parameters of a vehicle that its kind leaves open, in units of the decoder's table.
+    """Free parameters of a vehicle within its kind, in units of the decoder's table.
 
-    basis: (k, d) what one unit of each adds to the code. start, low, high: (k,) the vehicle's own and its kind's range.
-    names: of the parameters.
+    basis: (k, d) change of the code per unit of each parameter. start, low, high: (k,) values of the vehicle, and the
+    range of its kind. names: of the parameters.
     """
 
     basis: NDArray[np.float32]
@@ -35,44 +35,44 @@ class BoxOfParameters:
 
 
 def kind_and_number(name: str) -> tuple[str, int]:
-    """("camper", 3) of "camper-3", the third vehicle drawn of its kind; of a name without a number itself and 0."""
+    """Split "camper-3", the third vehicle drawn of its kind, into ("camper", 3). A name without number gives 0."""
     found = re.fullmatch(r"(.+)-([1-9][0-9]{0,5})", name)
     return (found[1], int(found[2])) if found else (name, 0)
 
 
 def drawn_box(kind: str, box: BoxOfParameters, number: int) -> BoxOfParameters:
-    """A kind's ranges with the vehicle of a number in them, each of its parameters uniform over its range.
+    """Return a kind's box whose start is drawn vehicle `number`: each parameter is uniform over its range.
 
-    Source: our choice; `attack.search=random` draws so too.
+    Source: our choice, as in `attack.search=random`.
     """
     return replace(box, start=generator("drawn vehicle", kind, number).uniform(box.low, box.high))
 
 
 def drawn_code(code: NDArray[np.float32], box: BoxOfParameters, drawn: BoxOfParameters) -> NDArray[np.float32]:
-    """The code (d,) of a drawn vehicle. code: of the vehicle whose box is `box`."""
-    # Row by row: a product of matrices rounds otherwise on another processor, and the code enters a task's id.
+    """Return the code (d,) of a drawn vehicle. code: of the vehicle whose box is `box`."""
+    # Sum row by row: a matrix product rounds differently on other processors, and the code enters a task's id.
     moved = ((drawn.start - box.start)[:, None] * box.basis).sum(axis=0)
     return np.asarray(code + moved, np.float32)
 
 
 def parameter_tensors(name: str, box: BoxOfParameters) -> dict[str, NDArray[np.float32]]:
-    """The tensors that `read_parameters` reads."""
+    """Return the tensors that `read_parameters` reads."""
     values = {"basis": box.basis, "start": box.start, "low": box.low, "high": box.high}
     return {f"{name}.parameters.{what}": np.asarray(value, np.float32) for what, value in values.items()}
 
 
 def parametric_vehicles(path: Path) -> frozenset[str]:
-    """The vehicles of a file whose codes are made of parameters. Raises InputError for an unreadable file."""
+    """Return the vehicles of a file that have parameters. Raises: InputError for an unreadable file."""
     _, metadata, source = read_tensors(path)
     facts = described(metadata, "baselines", source)
     return frozenset(name for name, fact in facts.items() if _names(fact) is not None)
 
 
 def read_parameters(path: Path, name: str) -> BoxOfParameters:
-    """The parameters of one vehicle of a file.
+    """Read the parameters of one vehicle of a file.
 
-    Raises: InputError naming the file: it is unreadable, the vehicle unknown or made of no parameters, or a range is
-        empty or does not hold the vehicle itself.
+    Raises: InputError naming the file: it is unreadable, the vehicle is unknown or has no parameters, or a range is
+        empty or excludes the vehicle itself.
     """
     tensors, metadata, source = read_tensors(path)
     listed = _names(described(metadata, "baselines", source).get(name))
@@ -93,6 +93,6 @@ def read_parameters(path: Path, name: str) -> BoxOfParameters:
 
 
 def _names(facts: Any) -> list[Any] | None:
-    """The parameters that a vehicle's facts list; None for none."""
+    """Return the parameter names in a vehicle's metadata entry; None without any."""
     listed = facts.get("parameters") if isinstance(facts, dict) else None
     return listed if isinstance(listed, list) else None

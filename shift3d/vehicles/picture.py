@@ -1,4 +1,4 @@
-"""Shaded pictures of meshes by ray casting: no display, no graphics driver."""
+"""Shaded pictures of meshes by ray casting; needs no display and no graphics driver."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BODY_RGB = (0.42, 0.58, 0.80)
 
 
 def view_axes(azimuth_rad: float, elevation_rad: float) -> Array:
-    """Rows right, up, towards the camera of a camera seen at an azimuth from +x (the nose) and an elevation."""
+    """Return the camera's axes as rows (right, up, towards the camera); azimuth counts from +x (the nose)."""
     ca, sa, ce, se = np.cos(azimuth_rad), np.sin(azimuth_rad), np.cos(elevation_rad), np.sin(elevation_rad)
     towards = np.array([ca * ce, sa * ce, se])
     right = np.array([-sa, ca, 0.0])
@@ -32,12 +32,12 @@ def shaded(
     span_m: float = 5.6,
     rgb: tuple[float, float, float] = BODY_RGB,
 ) -> NDArray[np.uint8]:
-    """An orthographic, Lambert-shaded picture of a mesh around its origin.
+    """Draw an orthographic, Lambert-shaded picture of a mesh around its origin.
 
     Args:
-        mesh: object frame, metres (any unit will do: `span_m` is the picture's width in it).
-        azimuth_rad: where the camera stands, counter-clockwise from the nose (pi/2 is the vehicle's left side).
-        elevation_rad: how far above the horizon it stands.
+        mesh: object frame, metres (or any unit, then also the unit of `span_m`).
+        azimuth_rad: camera azimuth, counter-clockwise from the nose (pi/2 is the vehicle's left side).
+        elevation_rad: camera elevation above the horizon.
         span_m: width of the picture in metres; the height follows from the pixels.
     Returns: (height_px, width_px, 3) uint8, white background.
     Differentiable w.r.t.: nothing. Source: our choice: pictures only.
@@ -62,7 +62,7 @@ def shaded(
 
 
 def side_by_side(mesh: trimesh.Trimesh, decoded: trimesh.Trimesh) -> bytes:
-    """A PNG, 960 pixels wide: side view and view from the front left of a mesh (grey), then of a decoded one (blue).
+    """Draw a PNG, 960 pixels wide: side view and front left view of a mesh (grey), then of a decoded mesh (blue).
 
     Args: both meshes in the object frame, metres, about the origin.
     """

@@ -1,8 +1,8 @@
-"""A vehicle's mesh made closed, with a report of what was done to it; what cannot be closed is refused.
+"""Repair of a vehicle's mesh to a closed mesh, with a report. A mesh that cannot be closed is refused.
 
-First what leaves the surface where it is: merging vertices, dropping degenerate and repeated faces, turning pieces
-that are inside out, filling holes of three or four edges. If the mesh then encloses a solid it is used as it is.
-Otherwise a new surface is wrapped around it (see `shift3d.vehicles.wrap`), and the report says how far off it is.
+The first steps keep the surface in place: merge vertices, drop degenerate and repeated faces, flip pieces that are
+inside out, fill holes of three or four edges. If the mesh then encloses a solid, it is the result. Otherwise a new
+surface is wrapped around it (`shift3d.vehicles.wrap`), and the report has the new surface's distance from the mesh.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from shift3d.vehicles.wrap import uncollapsed, wrapped
 from shift3d.wording import counted
 
 SIDED_SHARE = 0.99
-"""Share of the surface that must have outside on its outer and inside on its inner side, not to be wrapped."""
+"""Minimum share of the surface with outside on its outer and inside on its inner side; below it the mesh is wrapped."""
 SOLID_SHARE = 0.15
-"""Least share of its box that a closed mesh fills. Cars fill 0.4 to 0.65, a pickup on high wheels 0.28."""
+"""Minimum share of its box that a closed mesh fills. Cars fill 0.4 to 0.65, a pickup on high wheels 0.28."""
 
 
 @dataclass(frozen=True)
 class RepairReport:
-    """What was found and done.
+    """Defects found in a mesh, and the repairs made.
 
-    watertight: whether the mesh was closed as it came, vertices merged. open_edges: edges of only one face then.
-    merged_vertices, dropped_faces, flipped_pieces, filled_holes: counts of the repairs. widest_hole_m: across the
-    largest that was filled, so that a missing floor is not taken for a crack.
-    wrapped: whether the surface is a new one; then seal_m is how wide the gaps are that it bridges, and departure_m
-    and departure_p99_m the mean and 99th percentile of its distance from the mesh's faces, metres.
+    watertight: True if the mesh was closed after its vertices were merged. open_edges: edges with only one face then.
+    merged_vertices, dropped_faces, flipped_pieces, filled_holes: counts of the repairs. widest_hole_m: width of the
+    largest filled hole, which tells a missing floor from a crack.
+    wrapped: True if the surface is a new one. seal_m is then the bridged gap width, and departure_m and
+    departure_p99_m are the mean and 99th percentile of the surface's distance from the mesh's faces, metres.
     """
 
     watertight: bool
@@ -67,10 +67,10 @@ class RepairReport:
 
 
 def repaired(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, RepairReport]:
-    """A closed mesh for a vehicle's mesh in the object frame, metres, and what it took.
+    """Close a vehicle's mesh in the object frame, metres, and report the repairs.
 
-    Returns: a new mesh that `shift3d.sdf.samples.sample_sdf` takes, normals outwards; the given one is not changed.
-    Raises: InputError naming `where` for what encloses no solid: a sheet, holes too wide to bridge.
+    Returns: a new mesh that `shift3d.sdf.samples.sample_sdf` accepts, normals outwards. The given mesh stays unchanged.
+    Raises: InputError naming `where` for a mesh that encloses no solid: a sheet, holes too wide to bridge.
     Source: our choice: the paper is silent; DeepSDF drops shapes whose faces are seen from both sides.
     """
     mesh, report = _cleaned(mesh)
@@ -111,7 +111,7 @@ def _cleaned(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, RepairReport]:
 
 
 def _stitched(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimesh, RepairReport]:
-    """Windings made one within each piece, then holes of three or four edges filled."""
+    """Make the windings consistent within each piece, then fill holes of three or four edges."""
     trimesh.repair.fix_winding(mesh)
     before = _hole_widths_m(mesh)
     trimesh.repair.fill_holes(mesh)
@@ -121,7 +121,7 @@ def _stitched(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trim
 
 
 def _hole_widths_m(mesh: trimesh.Trimesh) -> dict[frozenset[int], float]:
-    """Width of every connected run of edges with only one face (a hole, if nothing is odd), by its vertices."""
+    """Return the width of every connected run of edges with only one face (normally a hole), by its vertices."""
     single = mesh.edges_unique[np.bincount(mesh.edges_unique_inverse) == 1]
     if not len(single):
         return {}
@@ -135,10 +135,10 @@ def _hole_widths_m(mesh: trimesh.Trimesh) -> dict[frozenset[int], float]:
 
 
 def _turned(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimesh, RepairReport]:
-    """Pieces that are inside out turned, unless they are cavities: those lie within another piece."""
+    """Flip pieces that are inside out, except cavities, which lie within another piece."""
     piece = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     a, b, c = np.moveaxis(np.asarray(mesh.triangles, np.float64), 1, 0)
-    volume = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))  # six times, about the origin
+    volume = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))  # six times the volume
     faces = np.array(mesh.faces)
     flipped = 0
     for index in np.flatnonzero(volume < 0.0):
@@ -153,9 +153,9 @@ def _turned(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimes
 
 
 def sided_share(mesh: trimesh.Trimesh) -> float:
-    """Share of a closed mesh's area with outside a millimetre outwards and inside a millimetre inwards.
+    """Return the share of a closed mesh's area with outside 1 mm outwards and inside 1 mm inwards.
 
-    Less than one where pieces overlap, a surface lies inside another, or normals point the wrong way.
+    The share is below one if pieces overlap, a surface lies inside another, or normals point the wrong way.
     """
     points, index = trimesh.sample.sample_surface(mesh, 4000, seed=np.random.default_rng(0))
     normals = np.asarray(mesh.face_normals)[index]

@@ -1,4 +1,4 @@
-"""Where a sweep's vehicles come from; a set of vehicle files is one such source."""
+"""Vehicle sources of a sweep: vehicles by name with their decoder. A set of vehicle files is one source."""
 
 from __future__ import annotations
 
@@ -31,54 +31,54 @@ from shift3d.vehicles.vehicle import (
     framed,
 )
 
-# A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
+# A plan needs names and hashes only, so the decoder modules are imported where a vehicle is decoded.
 if TYPE_CHECKING:
     from shift3d.sdf.decoder import Decoder
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 
 _T = TypeVar("_T")
 WIDE = "wide"
-"""The set of the parametric decoder, in `weights/wide`; a user's folder of that name is ./wide."""
+"""Vehicle set of the parametric decoder, in `weights/wide`. A user's folder with this name is ./wide."""
 
 
 class VehicleSource(Protocol):
-    """Vehicles by name, and the decoder that draws them."""
+    """Interface of a source of vehicles by name, with the decoder that draws them."""
 
     def names(self) -> list[str]:
-        """Every vehicle's name, in a fixed order; of those drawn from a kind's ranges the kind alone."""
+        """Return all names in a fixed order. For vehicles drawn from a kind's ranges only the kind is listed."""
         ...
 
     def vehicle(self, name: str) -> Vehicle:
-        """One of them, or one drawn from a kind that is made of parameters. Raises InputError for an unknown name."""
+        """Return a vehicle by name, or one drawn from a parametric kind. Raises: InputError for an unknown name."""
         ...
 
     def codes(self) -> NDArray[np.float32]:
-        """(N, code) of every vehicle that the decoder is known to draw, in a fixed order."""
+        """Return the codes (N, code) of all vehicles that the decoder was trained on, in a fixed order."""
         ...
 
     def is_parametric(self, name: str) -> bool:
-        """Whether a vehicle's code is made of a generator's parameters."""
+        """True if the vehicle's code is made of a generator's parameters."""
         ...
 
     def parameters(self, name: str) -> BoxOfParameters:
-        """What the generator of a vehicle leaves open. Raises InputError where its codes are made of none."""
+        """Return a vehicle's free parameters. Raises: InputError if its code is not made of parameters."""
         ...
 
     def kinds(self) -> list[str]:
-        """The vehicles that a search may turn to. Raises InputError where their sizes take long to measure."""
+        """Return the vehicles that a search may switch to. Raises: InputError if measuring their sizes is slow."""
         ...
 
     def decoder(self) -> Decoder | DeepSdfNetwork:
-        """float32, eval mode, no gradients to its weights. Raises InputError for unusable files."""
+        """Return the decoder: float32, eval mode, no weight gradients. Raises: InputError for unusable files."""
         ...
 
     def decoder_hash(self) -> str:
-        """128-bit BLAKE2b, hex, of everything that the decoder's values depend on."""
+        """Compute the 128-bit BLAKE2b, hex, of everything that the decoder's values depend on."""
         ...
 
 
 def vehicle_hash(vehicle: Vehicle) -> str:
-    """128-bit BLAKE2b, hex, of everything that a task reads of a vehicle."""
+    """Compute the 128-bit BLAKE2b, hex, of all vehicle data that a task reads."""
     digest = hashlib.blake2b(json.dumps([vehicle.name, float(vehicle.scale_m)]).encode(), digest_size=16)
     for array in (vehicle.latent_code, vehicle.sdf_R_object, vehicle.sdf_t_object, vehicle.size_m):
         digest.update(np.asarray(array, dtype=np.float64).tobytes())
@@ -86,11 +86,11 @@ def vehicle_hash(vehicle: Vehicle) -> str:
 
 
 def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = False) -> str:
-    """128-bit BLAKE2b, hex, of what bounds a search beside the vehicle itself; empty for space free.
+    """Compute the 128-bit BLAKE2b, hex, of the bounds of a search beside the vehicle itself; empty for space free.
 
     edited: the vehicle's parameters are edited, whatever the space.
-    Raises: InputError where the vehicle is made of no parameters, and space is parameters or it is edited; for space
-    family, where the source's vehicles are no kinds.
+    Raises: InputError if the vehicle has no parameters and space is parameters or edited is set; for space family, if
+    the source has no kinds.
     """
     if space == "free" and not edited:
         return ""
@@ -111,7 +111,7 @@ def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = F
 
 
 def set_folder(folder: Path | str | None, setting: str = "vehicle.folder") -> Path:
-    """The folder of a vehicle set; None and "wide" are sets that ship. setting: that named it, for messages."""
+    """Return the folder of a vehicle set; None and "wide" are shipped sets. setting: its name, for messages."""
     if folder is None:
         return DEFAULT_VEHICLES.parent
     if str(folder) != WIDE:
@@ -123,11 +123,11 @@ def set_folder(folder: Path | str | None, setting: str = "vehicle.folder") -> Pa
 
 
 class VehicleSet(VehicleSource):
-    """A folder with vehicles.safetensors and their decoder, sdf.safetensors.
+    """Vehicle source of a folder with vehicles.safetensors and their decoder, sdf.safetensors.
 
-    None: the five vehicles that ship. "wide": those that ship with a parametric decoder. Where a vehicle NAME is made
-    of parameters, there are NAME-1, NAME-2, ... too, drawn at random from its ranges; the first call for one takes two
-    seconds, once a machine.
+    None: the five shipped vehicles. "wide": the shipped vehicles of the parametric decoder. If vehicle NAME is made of
+    parameters, NAME-1, NAME-2, ... also exist, drawn at random from its ranges. The first call for a drawn vehicle
+    takes two seconds, once per machine.
     """
 
     def __init__(self, folder: Path | str | None = None) -> None:
@@ -142,7 +142,7 @@ class VehicleSet(VehicleSource):
         return list(self._vehicles)
 
     def _kind(self, name: str) -> tuple[str, int]:
-        """See `kind_and_number`; a vehicle of the folder may itself be called so."""
+        """Split a name as `kind_and_number`; a vehicle of the folder may have such a name itself."""
         kind, number = kind_and_number(name)
         return (kind, number) if name not in self._vehicles and kind in self._parametric else (name, 0)
 
@@ -156,7 +156,7 @@ class VehicleSet(VehicleSource):
         return self._drawn[name] if number else found
 
     def _corners(self, code: NDArray[np.float32], sdf_R_object: NDArray[np.float64]) -> NDArray[np.float64]:
-        """`decoded_corners` (2, 3), from the user's cache folder; decoded, and kept there, where it holds none."""
+        """Return `decoded_corners` (2, 3), from the user's cache folder if it holds them, else decode and cache."""
         made_of = (self.decoder_hash(), code.tobytes(), sdf_R_object.tobytes())
         file = kept_file("drawn", *made_of, program_digest("sdf", "processor.py", "vehicles"))
         if (content := read_kept(file)) is None:
@@ -200,7 +200,7 @@ class VehicleSet(VehicleSource):
 
 
 def known(name: str, found: Mapping[str, _T], folder: Path) -> _T:
-    """What has a name. Raises InputError for an unknown one, listing some. folder: whose names they are."""
+    """Return the entry of a name. Raises: InputError for an unknown name, listing some names of `folder`."""
     if name not in found:
         first = ", ".join(list(found)[:12])
         more = f", ... ({len(found)} in all)" if len(found) > 12 else ""

@@ -1,4 +1,4 @@
-"""The vehicles that tasks insert: a latent code of the decoder, its metric scale and its place in the object frame."""
+"""Vehicles that tasks insert: latent code, metric scale and the transform between object frame and sdf frame."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ BASELINES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
 CODE_LENGTH = 256
 DEFAULT_VEHICLES = Path(__file__).parent.parent / "weights" / "vehicles.safetensors"
 SIDES_M = (0.01, 0.5, LENGTH_M[1])
-"""Least side, least and largest longest side: also of what a decoder makes of a bad code, a dot or a plate."""
+"""Smallest side; smallest and largest longest side. Wide enough for the dot or plate that a bad code decodes to."""
 SPHERES = (0.2, 4.0)
-"""A vehicle's longest side in radii of the decoder's unit sphere, which holds it: 1.8 to 1.9 for the shipped ones."""
-LARGEST = 100.0  # of a tensor's values: codes in the decoder's unit, metres
+"""Range of a vehicle's longest side in radii of the decoder's unit sphere; the shipped vehicles have 1.8 to 1.9."""
+LARGEST = 100.0  # absolute value in a tensor: codes in the decoder's unit, lengths in metres
 MEASURED_RESOLUTION = 129
-"""Grid nodes along the unit sphere's cube when a vehicle's box is measured; 257 gives the same to 2 mm."""
-_ROUNDED_M = 3  # decimals: sizes enter a task's id, and machines differ in the last bits
+"""Grid nodes per axis of the unit sphere's cube for measuring a vehicle's box; 257 nodes give the same to 2 mm."""
+_ROUNDED_M = 3  # decimals: sizes enter a task's id, and the last bits differ between machines
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle as the decoder knows it.
+    """A vehicle as a latent code of a decoder, with its metric scale and pose in the sdf frame.
 
     x_sdf = sdf_R_object @ x_object / scale_m + sdf_t_object; a metric distance is scale_m times g.
 
     Attributes:
-        name: what it is called.
+        name: unique name in the vehicle set.
         latent_code: z0, (code,) float32.
         scale_m: metres per sdf unit.
         sdf_R_object: (3, 3) float64 rotation. sdf_t_object: (3,) float64, sdf units.
-        size_m: (dx, dy, dz) of the decoded z0 mesh in the object frame, metres; its box's centre is the origin.
+        size_m: (dx, dy, dz) of the decoded z0 mesh in the object frame, metres; the box's centre is the origin.
     Source: SHIFT3D section "Experiments": five ShapeNet automobiles, "manually scaled" to realistic dimensions.
     """
 
@@ -60,21 +60,21 @@ class Vehicle:
     size_m: tuple[float, float, float]
 
     def to_object(self, x_sdf: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points (N, 3) from the sdf frame to the object frame, metres."""
+        """Transform points (N, 3) from the sdf frame to the object frame, metres."""
         return (np.asarray(x_sdf, np.float64) - self.sdf_t_object) @ self.sdf_R_object * self.scale_m
 
     def to_sdf(self, x_object: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points (N, 3) from the object frame, metres, to the sdf frame."""
+        """Transform points (N, 3) from the object frame, metres, to the sdf frame."""
         return np.asarray(x_object, np.float64) @ self.sdf_R_object.T / self.scale_m + self.sdf_t_object
 
 
 def read_tensors(path: Path | str | None) -> tuple[dict[str, NDArray[np.generic]], dict[str, str], Path]:
-    """Tensors and metadata of a vehicles file, and its path. Raises: InputError where it is missing or unreadable."""
+    """Read tensors, metadata and path of a vehicles file. Raises: InputError if the file is missing or unreadable."""
     return read_safetensors(path, DEFAULT_VEHICLES, "np")
 
 
 def described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any]:
-    """The JSON object under a key of the metadata. Raises: InputError where there is none."""
+    """Return the JSON object stored under a metadata key. Raises: InputError if the key has no JSON object."""
     try:
         found = json.loads(metadata[key])
     except (KeyError, ValueError, RecursionError):
@@ -87,12 +87,12 @@ def described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any
 def tensor_of(
     tensors: dict[str, NDArray[np.generic]], name: str, shape: tuple[int, ...], source: Path
 ) -> NDArray[np.float32]:
-    """A tensor by name, float32. Raises: InputError where it is missing, of another shape or kind, or not finite."""
+    """Return a tensor by name as float32. Raises: InputError if missing, not finite, or of wrong shape or dtype."""
     if name not in tensors:
         raise InputError(f"tensor {name} is missing", where=str(source), remedy=f"Give it with shape {shape}")
     found = tensors[name]
     usable = found.shape == shape and np.issubdtype(found.dtype, np.floating)
-    # The comparison is false for NaN.
+    # NaN fails the comparison.
     if not (usable and bool((np.abs(found) <= LARGEST).all())):
         what = (
             f"tensor {name} is {found.dtype} of shape {found.shape}, or holds values not finite or beyond {LARGEST:g}"
@@ -102,7 +102,7 @@ def tensor_of(
 
 
 def _checked(vehicle: Vehicle, source: Path) -> Vehicle:
-    """The vehicle itself where its numbers can be one's; every comparison is written so that NaN fails it."""
+    """Return the vehicle if its numbers are plausible, else raise InputError. NaN fails every comparison."""
     rotation, size = vehicle.sdf_R_object, np.array(vehicle.size_m)
     wrong = ""
     if not (SIDES_M[0] <= size.min() and SIDES_M[1] <= size.max() <= SIDES_M[2]):
@@ -123,7 +123,7 @@ def _checked(vehicle: Vehicle, source: Path) -> Vehicle:
 
 
 def _readable(key: str, source: Path, read: Callable[[], _T]) -> _T:
-    """What is read of the metadata; values that are missing or of another type are said as what they are."""
+    """Return `read()`, with an InputError for missing metadata values and values of a wrong type."""
     try:
         return read()
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
@@ -144,10 +144,10 @@ def _from_facts(name: str, facts: Any, code: NDArray[np.float32]) -> Vehicle:
 
 
 def baseline_vehicles(path: Path | str | None = None) -> dict[str, Vehicle]:
-    """The five baselines by name: coupe, sports_car, suv, convertible, beach_wagon; or those of another file.
+    """Load the five baselines by name (coupe, sports_car, suv, convertible, beach_wagon), or those of another file.
 
-    Raises: InputError naming the file when it is missing, unreadable or incomplete, or holds what cannot be a
-        vehicle's: a transform that is none, another size than the decoder draws, values that are not finite.
+    Raises: InputError naming the file when it is missing, unreadable or incomplete, or holds implausible values: an
+        invalid transform, a size that contradicts the scale, or values that are not finite.
     """
     tensors, metadata, source = read_tensors(path)
     vehicles = {}
@@ -159,9 +159,9 @@ def baseline_vehicles(path: Path | str | None = None) -> dict[str, Vehicle]:
 
 
 def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
-    """Every vehicle that the decoder was trained on, for training detectors: names `<body type>_<index>`.
+    """Load every vehicle that the decoder was trained on, for training detectors. Names are `<body type>_<index>`.
 
-    Their size_m is that of the mesh they were trained on; decoded, they differ from it by a centimetre or two.
+    size_m is the size of the training mesh; the decoded surface differs from it by a centimetre or two.
     Raises: InputError as `baseline_vehicles`.
     """
     tensors, metadata, source = read_tensors(path)
@@ -185,7 +185,7 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
 
 
 def family_seed(path: Path | str | None = None) -> int:
-    """The seed of the family that the decoder was trained on: `family(len(family_vehicles()), seed)` are its meshes."""
+    """Return the seed of the decoder's training family: `family(len(family_vehicles()), seed)` gives its meshes."""
     _, metadata, source = read_tensors(path)
     facts = described(metadata, "family", source)
     return _readable("family, seed", source, lambda: int(facts["seed"]))
@@ -197,12 +197,12 @@ def vehicle_mesh(
     z: Tensor | NDArray[np.float32] | None = None,
     resolution: int = 128,
 ) -> trimesh.Trimesh:
-    """The vehicle's decoded surface.
+    """Decode the vehicle's surface.
 
     Args:
-        vehicle: gives scale and frame, and z0 where `z` is None.
-        z: another code of the same vehicle, e.g. a solution, (code,).
-        resolution: grid points along each axis of the unit sphere's cube; 128 is about 4 cm.
+        vehicle: gives scale and frame, and z0 if `z` is None.
+        z: another code for the same vehicle, e.g. a solution, (code,).
+        resolution: grid points along each axis of the unit sphere's cube; 128 points are about 4 cm apart.
     Returns: mesh in the object frame, metres.
     Raises: InputError when the code decodes to no surface.
     """
@@ -219,10 +219,7 @@ def vehicle_mesh(
 def decoded_corners(
     code: NDArray[np.float32] | Tensor, decoder: Decoder | DeepSdfNetwork, sdf_R_object: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Low and high corner (3,) of a code's surface along the object's axes, sdf units.
-
-    Raises: InputError when the code decodes to no surface.
-    """
+    """Return low and high corner (3,) of a code's surface, object axes, sdf units. Raises: InputError without one."""
     import torch
 
     from shift3d.sdf.meshes import extract_mesh
@@ -240,10 +237,7 @@ def framed(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> Vehicle:
-    """A vehicle whose object frame has its origin in the centre of its box, to the millimetre.
-
-    low, high: see `decoded_corners`.
-    """
+    """Build a vehicle with the origin at the centre of the box (low, high) of `decoded_corners`, to the millimetre."""
     size = np.round((high - low) * scale_m, _ROUNDED_M)
     centre = np.round((low + high) / 2.0 * scale_m, _ROUNDED_M) / scale_m
     return Vehicle(

@@ -1,6 +1,6 @@
-"""A folder of vehicles that a sweep can insert: vehicles.safetensors, its decoder sdf.safetensors, and sdf.json.
+"""Vehicle set: a folder with vehicles.safetensors, its decoder sdf.safetensors, and sdf.json, for use in sweeps.
 
-The files are those of the shipped weights, so whatever reads these reads those.
+The files have the format of the shipped weights, so the same readers load both.
 """
 
 from __future__ import annotations
@@ -25,17 +25,16 @@ from shift3d.store.atomic import write_atomic
 from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors
 
 VEHICLES_FILE, DECODER_FILE, FACTS_FILE = "vehicles.safetensors", "sdf.safetensors", "sdf.json"
-RESOLUTION = 129
-"""Nodes along the unit sphere's cube of the meshes that are measured: 4 cm for a car."""
+RESOLUTION = 129  # nodes per axis of the unit sphere's cube for measured meshes: 4 cm apart for a car
 
 
 @dataclass(frozen=True)
 class FittedVehicle:
-    """A code for a mesh, and how well it draws it.
+    """A latent code fitted to a mesh, with the fit's error.
 
-    latent_code: float32 values. scale_m: metres per sdf unit. bounds_m: lowest and highest corner of its surface, in
-    the mesh's frame. pieces: of the surface. chamfer_m: symmetric Chamfer distance between that and the mesh
-    (`shift3d.sdf.meshes`).
+    latent_code: float32 values. scale_m: metres per sdf unit. bounds_m: lowest and highest corner of the decoded
+    surface, in the mesh's frame. pieces: connected components of the surface. chamfer_m: symmetric Chamfer distance
+    between the surface and the mesh (`shift3d.sdf.meshes`).
     """
 
     name: str
@@ -47,7 +46,7 @@ class FittedVehicle:
     chamfer_m: float
 
     def facts(self) -> dict[str, Any]:
-        """What `shift3d.vehicles.vehicle` reads of it: the object frame's origin is the decoded box's centre."""
+        """Return the metadata that `shift3d.vehicles.vehicle` reads. The object frame's origin is the box's centre."""
         low, high = np.array(self.bounds_m)
         return {
             "body_type": self.body_type,
@@ -62,9 +61,9 @@ class FittedVehicle:
 def fitted(
     name: str, body_type: str, decoder: Decoder, code: NDArray[np.float32], scale_m: float, mesh: trimesh.Trimesh
 ) -> tuple[FittedVehicle, trimesh.Trimesh]:
-    """Decode a code and measure it against the mesh that it stands for; the vehicle, and its surface in metres.
+    """Decode a code and measure the surface against its mesh. Returns the vehicle, and the surface in metres.
 
-    Args: mesh: object frame, metres, its box's centre at the origin, which is the origin of the sdf frame.
+    Args: mesh: object frame, metres. Its box's centre is at the origin, which is also the origin of the sdf frame.
     Raises: InputError when the code decodes to no surface.
     """
     decoded = extract_mesh(decoder.field(torch.from_numpy(code)), RESOLUTION)
@@ -77,7 +76,7 @@ def fitted(
 
 @dataclass(frozen=True)
 class KnownCodes:
-    """Every vehicle that a decoder was trained on: body types or kinds, codes (N, code), scales (N,), sizes (N, 3)."""
+    """Vehicles that a decoder was trained on: body types or kinds, codes (N, code), scales (N,), sizes (N, 3)."""
 
     body_types: tuple[str, ...]
     codes: NDArray[np.float32]
@@ -93,19 +92,19 @@ def write_vehicle_set(
     boxes: Mapping[str, BoxOfParameters] | None = None,
     known: KnownCodes | None = None,
 ) -> None:
-    """Write the three files of a vehicle set to a folder, each atomically, the vehicles last: without them it is none.
+    """Write the three files of a vehicle set to a folder, each atomically. The vehicles come last and complete the set.
 
-    Vehicles are stored by name (`baseline_vehicles`), and everything that the decoder knows in one table
-    (`family_vehicles`): `known`, or the same vehicles in the same order. boxes: by name, the parameters that codes are
-    made of. decoder: a file of one is copied, so that what others made with it is known to be of the same decoder.
-    provenance: for sdf.json, which also says how far the vehicles are from their meshes.
+    The file stores vehicles by name (`baseline_vehicles`), and the decoder's known codes in one table
+    (`family_vehicles`): `known`, or else the same vehicles in the same order. boxes: by name, the parameters behind
+    the codes. decoder: a file is copied byte for byte, so that results made with it refer to the same decoder.
+    provenance: goes into sdf.json, together with the vehicles' distances from their meshes.
     Raises: InputError without vehicles, or when two have one name.
     """
     if len({vehicle.name for vehicle in vehicles}) != len(vehicles) or not vehicles:
         raise InputError("no vehicles, or two of one name", where=str(out), remedy="Give one file for every vehicle")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / VEHICLES_FILE).unlink(missing_ok=True)  # a kill must not leave them with another decoder
+    (folder / VEHICLES_FILE).unlink(missing_ok=True)  # a kill must not leave old vehicles beside another decoder
     if isinstance(decoder, Decoder):
         save_decoder(decoder, folder / DECODER_FILE)
     else:

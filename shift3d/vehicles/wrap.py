@@ -1,8 +1,8 @@
-"""A closed surface around a mesh that encloses nothing by itself: CAD with gaps, interiors and overlapping parts.
+"""Closed surface around a mesh that encloses no volume: CAD with gaps, interiors and overlapping parts.
 
-What cannot be reached from far away without coming nearer to the mesh than half a gap's width is solid: the outside
-is flooded, everything else is filled, and the surface, half a gap too far out, is brought back in. In the terms of
-mathematical morphology, a closing. Concavities narrower than the gap are filled as well: that is its price.
+A flood fill marks the outside: every place reachable from far away at more than half a gap's width from the mesh. All
+other space is solid. The boundary of the solid lies half a gap too far out and is moved back in. This is a closing in
+the sense of mathematical morphology. Concavities narrower than the gap are filled too.
 """
 
 from __future__ import annotations
@@ -17,26 +17,23 @@ from shift3d.errors import InputError
 from shift3d.sdf.meshes import distance_to_surface
 
 SEAL_M = (0.05, 0.10, 0.20)
-"""Widths of gaps that are bridged: of these, the narrowest at which the inside does not flood."""
-LAST_SEAL_M = 0.40
-"""Where it floods at all of those: cars whose wheel arches or windows are open."""
-CELL_M = 0.025
-"""Grid spacing: half the narrowest gap, so that no path leads through the wall between two nodes."""
+"""Gap widths to bridge. The narrowest width at which the inside does not flood is used."""
+LAST_SEAL_M = 0.40  # gap width if the inside floods at every width of SEAL_M: cars with open wheel arches or windows
+CELL_M = 0.025  # grid spacing: half the narrowest gap, so that no path leads through the wall between two nodes
 COARSE = 4
 FILLED_SHARE = 0.30
-"""Least share of its box that a wrapped vehicle fills. Most cars fill 0.4 to 0.65; flooded ones were seen at 0.27."""
-UNFLOODED_SHARE = 0.85
-"""A width that encloses less than this of what the widest does has let the flood in somewhere."""
+"""Minimum share of its box that a wrapped vehicle fills. Most cars fill 0.4 to 0.65, some flooded meshes 0.27."""
+UNFLOODED_SHARE = 0.85  # a width has flooded if its volume is at most this share of the widest width's volume
 
 Grid = NDArray[np.float64]
 
 
 def wrapped(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, float, NDArray[np.float64]]:
-    """A closed surface around a mesh in metres.
+    """Return a closed surface around a mesh in metres.
 
-    Returns: the surface, the width of gap it bridges (metres), and the distances (5000,) metres of points spread
-        over it from the mesh.
-    Raises: InputError naming `where` when the inside floods whatever the width.
+    Returns: the surface, the bridged gap width (metres), and the distances (5000,) in metres to the mesh from points
+        spread over the surface.
+    Raises: InputError naming `where` when the inside floods at every width.
     """
     box_m3 = float(np.prod(np.ptp(mesh.vertices, axis=0)))
     for seals_m in (SEAL_M, (LAST_SEAL_M,)):
@@ -54,7 +51,7 @@ def wrapped(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, float, 
 
 
 def _closings(mesh: trimesh.Trimesh, seals_m: tuple[float, ...]) -> list[trimesh.Trimesh | None]:
-    """The surface for each width, which share one grid of distances."""
+    """Return the closing for each gap width; all widths share one grid of distances."""
     low = np.asarray(mesh.bounds[0]) - max(seals_m) - 2.0 * CELL_M
     counts = np.ceil((np.asarray(mesh.bounds[1]) + max(seals_m) + 2.0 * CELL_M - low) / CELL_M)
     counts = (-(-counts // COARSE) * COARSE + 1).astype(np.int64)
@@ -63,9 +60,9 @@ def _closings(mesh: trimesh.Trimesh, seals_m: tuple[float, ...]) -> list[trimesh
 
 
 def _distances(mesh: trimesh.Trimesh, low: NDArray[np.float64], counts: tuple[int, ...], reach_m: float) -> Grid:
-    """Distance of every node to the mesh where it is below `reach_m`; elsewhere some distance that is not below it.
+    """Return the distance of every node to the mesh if it is below `reach_m`, else some value that is not below.
 
-    A distance changes by no more than the way: what a coarse node says rules most fine nodes out.
+    A distance changes by at most the way between two nodes, so the coarse nodes rule out most fine nodes.
     """
     shape = tuple(int(count) for count in counts)
     index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
@@ -81,12 +78,12 @@ def _distances(mesh: trimesh.Trimesh, low: NDArray[np.float64], counts: tuple[in
 
 
 def _closing(away: Grid, low: NDArray[np.float64], seal_m: float) -> trimesh.Trimesh | None:
-    """The surface for one width from the nodes' distances, None where nothing is left of it."""
+    """Return the closing for one gap width from the nodes' distances; None if it is empty."""
     half = seal_m / 2.0
     regions, _ = label(away > half)
     outside = regions == regions[0, 0, 0]
-    # Nodes of flooded air and of the wall around it keep their distance, so that the surface lies between the nodes;
-    # air that was not reached counts as solid.
+    # Flooded nodes and nodes of the wall keep their distance, so the surface can lie between nodes. Air that the flood
+    # does not reach counts as solid.
     dilated = np.where(outside | (away <= half), away - half, half - away)
     skin = _surface(dilated, low)
     if skin is None:
@@ -99,7 +96,7 @@ def _closing(away: Grid, low: NDArray[np.float64], seal_m: float) -> trimesh.Tri
 
 
 def _surface(values: Grid, low: NDArray[np.float64]) -> trimesh.Trimesh | None:
-    """The zero surface of values on the grid, negative inside, normals outwards."""
+    """Extract the zero surface of grid values, negative inside, with outward normals."""
     if not values.min() < 0.0 < values.max():
         return None
     vertices, faces, _, _ = marching_cubes(values, 1e-9, spacing=(CELL_M,) * 3)
@@ -111,6 +108,6 @@ def _surface(values: Grid, low: NDArray[np.float64]) -> trimesh.Trimesh | None:
 
 
 def uncollapsed(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
-    """Which faces have three different vertices, (F,). Slivers that do are kept: without them there would be slits."""
+    """Mask (F,) of the faces with three different vertices. Slivers pass: removing them would open slits."""
     a, b, c = np.asarray(mesh.faces).T
     return np.asarray((a != b) & (b != c) & (c != a), np.bool_)

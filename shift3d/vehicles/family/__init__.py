@@ -1,6 +1,6 @@
-"""Procedural vehicles: the embedded family, which the shipped decoder was trained on, and the wide one beside it.
+"""Procedural vehicles: the embedded family, on which the shipped decoder was trained, and the wide family.
 
-The names here are those of the embedded family (`embedded`, `solid`); the wide one is in `wide`.
+This package exports the names of the embedded family (`embedded`, `solid`); module `wide` has the wide family.
 """
 
 from shift3d.vehicles.family.embedded import RANGES, family, sample_spec

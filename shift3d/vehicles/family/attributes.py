@@ -1,4 +1,4 @@
-"""Attributes that a vehicle of the wide family may have: who carries them, and the ranges that they are drawn from."""
+"""Attributes of vehicles of the wide family: the body types that can carry each, and the ranges of its parameters."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _EVERY_CAR = (*_CARS, "convertible", "van", "pickup")
 
 @dataclass(frozen=True)
 class Attribute:
-    """One attribute. place: of those at one place a vehicle has one at most. carriers: body types that may have it.
+    """An attribute. place: a vehicle has at most one attribute per place. carriers: body types that can have it.
 
-    draw: the vehicle, changed where the attribute changes the vehicle itself, and the parts that the attribute adds.
+    draw: returns the vehicle, changed if the attribute changes the vehicle itself, and the parts to add.
     """
 
     place: str
@@ -33,11 +33,11 @@ class Attribute:
 
 def _rails(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tuple[Part, ...]]:
     start, end = car.roof_front_s_m + 0.15, car.roof_rear_s_m - 0.05
-    return car, (roof_parts.RoofRails(start, end, rng.uniform(0.04, 0.07)),)  # rise: side views
+    return car, (roof_parts.RoofRails(start, end, rng.uniform(0.04, 0.07)),)  # rise: from side views
 
 
 def _rack(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tuple[Part, ...]]:
-    # Trays of 1.2 to 2.1 m (makers' data sheets), 8 to 14 cm above the roof.
+    # Makers' data sheets: trays of 1.2 to 2.1 m, 8 to 14 cm above the roof.
     span = car.roof_rear_s_m - car.roof_front_s_m - 0.10
     length = min(rng.uniform(1.2, 2.1), span)
     start = car.roof_front_s_m + 0.05 + rng.uniform(0.0, 1.0) * (span - length)
@@ -47,7 +47,7 @@ def _rack(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tupl
 
 
 def _ladder(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tuple[Part, ...]]:
-    # Ladders of two sections are 2.2 to 3.6 m long when closed and 35 to 45 cm wide (makers' data sheets).
+    # Makers' data sheets: closed two-section ladders are 2.2 to 3.6 m long and 35 to 45 cm wide.
     length = min(rng.uniform(2.2, 3.6), car.roof_rear_s_m - car.roof_front_s_m + 0.6)
     end = car.roof_rear_s_m + rng.uniform(-0.2, 0.1)
     y = rng.uniform(-1.0, 1.0) * (roof_half_m(car) - 0.30)
@@ -74,7 +74,7 @@ def _spare_wheel(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpe
 
 
 def _bicycles(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tuple[Part, ...]]:
-    # Wheels of 26 to 29 inches, wheelbases of 1.00 to 1.12 m, carriers for two or three 18 to 22 cm apart.
+    # Wheels of 26 to 29 inches, wheelbases of 1.00 to 1.12 m, carriers for two or three bicycles 18 to 22 cm apart.
     part = tail_parts.Bicycles(
         count=int(rng.integers(1, 4)), gap_m=rng.uniform(0.22, 0.32), pitch_m=rng.uniform(0.18, 0.22),
         wheel_radius_m=rng.uniform(0.32, 0.35), base_m=rng.uniform(1.00, 1.12), rail_z_m=rng.uniform(0.50, 0.72),
@@ -97,7 +97,7 @@ def _canopy(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tu
 
 
 def _lifted(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tuple[Part, ...]]:
-    # Kits of 4 to 12 inches, tyres of 33 to 38 inches (makers' data sheets).
+    # Makers' data sheets: kits of 4 to 12 inches, tyres of 33 to 38 inches.
     lift, radius = rng.uniform(0.18, 0.32), rng.uniform(0.42, 0.485)
     raised = {name: getattr(car, name) + lift for name in ("clearance_m", "height_m", "nose_z_m", "cowl_z_m")}
     raised |= {name: getattr(car, name) + lift for name in ("deck_z_m", "tail_z_m")}
@@ -106,7 +106,7 @@ def _lifted(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tu
 
 
 def _dented(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tuple[Part, ...]]:
-    """One corner crushed, and dents in the sides; those leave a part of each side as it was, so that sizes hold."""
+    """Crush one corner and dent the sides. Each side keeps an undented part, so that the vehicle's size stays."""
     half = car.width_m / 2
     side = float(rng.choice((-1.0, 1.0)))
     balls = []
@@ -133,7 +133,7 @@ def _missing_panels(car: VehicleSpec, rng: np.random.Generator) -> tuple[Vehicle
     large = ["hood", "front_door_left", "front_door_right"]
     small = ["front_fender_left", "front_fender_right", "bumper"]
     if car.body_type in ("van", "minivan"):
-        large.remove("hood")  # too short to be seen to be gone
+        large.remove("hood")  # too short for a visible gap
     first = str(rng.choice(large))
     more = [name for name in (*large, *small) if name != first]
     extra = rng.choice(more, size=int(rng.integers(1, 3)), replace=False)

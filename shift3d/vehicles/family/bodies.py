@@ -1,4 +1,4 @@
-"""Bodies that no car has: a box behind a cab, a camper's living room with its alcove, a trailer."""
+"""Bodies other than cars: a box behind a cab, a camper's living room with its alcove, a trailer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class BoxBody:
-    """A box on the frame behind a cab, from s to the tail; where it reaches down to the wheels, open around them."""
+    """Box on the frame behind a cab, from s to the tail; wheel arches are cut out of a box that reaches the wheels."""
 
     from_s_m: float
     width_m: float
@@ -42,7 +42,7 @@ class BoxBody:
 
 @dataclass(frozen=True)
 class Alcove:
-    """A camper's berth over the cab, joined to its box, and windows set into the box's sides."""
+    """Camper's berth over the cab, joined to the box body, with windows cut into the box's sides."""
 
     from_s_m: float
     slope_m: float
@@ -60,7 +60,7 @@ class Alcove:
                    (rear - 0.3, top)]  # fmt: skip
         part = wedge(corners, low_y, half, self.box.edge_m)
         add(grid, field, ((rear - 0.3, low_y, floor), (front, half, top)), part, 0.03)
-        # A window of the living room and one of the bedroom; deep enough for the grid to show them.
+        # One window for the living room and one for the bedroom, deep enough to show on the grid.
         sill, depth = car.cowl_z_m + 0.35, 0.05
         start, end = self.box.from_s_m, car.length_m
         for share, length in ((0.22, 0.95), (0.72, 0.70)):
@@ -72,10 +72,7 @@ class Alcove:
 
 @dataclass(frozen=True)
 class Trailer:
-    """A box trailer that stands by itself: a body on one or two axles, a drawbar ahead with its jockey wheel.
-
-    The same frame as of a vehicle: x forward, the drawbar's coupling in front.
-    """
+    """Box trailer on one or two axles, with drawbar and jockey wheel. x forward, the drawbar's coupling in front."""
 
     length_m: float
     width_m: float
@@ -87,7 +84,7 @@ class Trailer:
     edge_m: float
 
     def field(self, grid: Grid) -> Array:
-        """The whole trailer on a grid (A, B, C), negative inside, metres."""
+        """Build the whole trailer on a grid (A, B, C), negative inside, metres."""
         field = np.full((len(grid.x), len(grid.y), len(grid.z)), np.float32(1.0))
         front, tail, half = self.length_m / 2 - self.drawbar_m, -self.length_m / 2, self.width_m / 2
         track, tyre = half - 0.02, 0.19

@@ -1,6 +1,6 @@
-"""Parts added to and cut from a vehicle's field: distances to simple solids, evaluated in a window of the grid.
+"""CSG of parts with a vehicle's field: distances to simple solids, evaluated in a window of the grid.
 
-Frame as in `solid`: x forward from half way along the vehicle without its parts, y left, z up from the ground, metres.
+Frame as in `solid`: x forward from the middle of the vehicle without parts, y left, z up from the ground, metres.
 """
 
 from __future__ import annotations
@@ -14,16 +14,15 @@ from shift3d.vehicles.family.solid import Grid, smooth_max, smooth_min
 
 Array = NDArray[np.float32]
 Point = tuple[float, float, float]
-Bounds = tuple[Point, Point]
-"""Low and high corner."""
+Bounds = tuple[Point, Point]  # low and high corner of a box
 Distance = Callable[[Array, Array, Array], Array]
 """Signed distance at x (A, 1, 1), y (1, B, 1), z (1, 1, C): (A, B, C), negative inside."""
 _THINNEST = 0.75
-"""Radius, in grid steps, of the thinnest rod that no grid misses: half the diagonal of a cell's face, and a little."""
+"""Radius, in grid steps, of the thinnest rod that no grid misses: slightly over half the diagonal of a cell's face."""
 
 
 def thick(grid: Grid, radius_m: float) -> float:
-    """The radius itself, or that of the thinnest rod that the grid shows."""
+    """Return `radius_m`, but at least the radius of the thinnest rod that the grid resolves."""
     return max(radius_m, _THINNEST * grid.step_m)
 
 
@@ -45,12 +44,12 @@ def _apply(
 
 
 def add(grid: Grid, field: Array, bounds: Bounds, part: Distance, blend_m: float = 0.0) -> None:
-    """Unite a part with the field, in place. bounds: of the part. blend_m: how far the crease between is filled."""
+    """Unite a part with the field, in place. bounds: of the part. blend_m: radius over which the crease is filled."""
     _apply(grid, field, bounds, part, blend_m, lambda a, b: smooth_min(a, b, blend_m) if blend_m else np.minimum(a, b))
 
 
 def cut(grid: Grid, field: Array, bounds: Bounds, part: Distance, blend_m: float = 0.0) -> None:
-    """Take a part out of the field, in place. blend_m: how far the edge of the hole is rounded."""
+    """Subtract a part from the field, in place. blend_m: radius over which the hole's edge is rounded."""
 
     def without(a: Array, b: Array) -> Array:
         return smooth_max(a, -b, blend_m) if blend_m else np.maximum(a, -b)
@@ -59,7 +58,7 @@ def cut(grid: Grid, field: Array, bounds: Bounds, part: Distance, blend_m: float
 
 
 def block(low: Point, high: Point, round_m: float = 0.0, pitch_rad: float = 0.0) -> Distance:
-    """A box with rounded edges, turned about y through its centre: its front end up for a positive pitch."""
+    """Build a box with rounded edges, rotated about y through its centre; a positive pitch lifts the front end."""
     centre = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
     half = [max((b - a) / 2 - round_m, 1e-3) for a, b in zip(low, high, strict=True)]
     cos, sin = np.float32(np.cos(pitch_rad)), np.float32(np.sin(pitch_rad))
@@ -77,7 +76,7 @@ def block(low: Point, high: Point, round_m: float = 0.0, pitch_rad: float = 0.0)
 
 
 def rod(a: Point, b: Point, radius_m: float) -> Distance:
-    """A round bar from a to b with round ends."""
+    """Build a round bar from a to b with round ends."""
     edge = [q - p for p, q in zip(a, b, strict=True)]
     length = sum(e * e for e in edge)
 
@@ -92,7 +91,7 @@ def rod(a: Point, b: Point, radius_m: float) -> Distance:
 
 
 def ring(centre: Point, radius_m: float, tube_m: float) -> Distance:
-    """A torus whose axis is x: a bicycle's wheel across a vehicle's tail."""
+    """Build a torus with axis x, e.g. the wheel of a bicycle carried across the tail."""
 
     def distance(x: Array, y: Array, z: Array) -> Array:
         around = np.hypot(y - np.float32(centre[1]), z - np.float32(centre[2])) - np.float32(radius_m)
@@ -102,7 +101,7 @@ def ring(centre: Point, radius_m: float, tube_m: float) -> Distance:
 
 
 def disc(centre: Point, radius_m: float, half_width_m: float, round_m: float, axis: int) -> Distance:
-    """A cylinder along x (axis 0) or y (axis 1), its rims rounded."""
+    """Build a cylinder along x (axis 0) or y (axis 1) with rounded rims."""
 
     def distance(x: Array, y: Array, z: Array) -> Array:
         offset = [v - np.float32(c) for v, c in zip((x, y, z), centre, strict=True)]
@@ -114,7 +113,7 @@ def disc(centre: Point, radius_m: float, half_width_m: float, round_m: float, ax
 
 
 def ball(centre: Point, radius_m: float) -> Distance:
-    """A sphere."""
+    """Build a sphere."""
 
     def distance(x: Array, y: Array, z: Array) -> Array:
         squares = sum((v - np.float32(c)) ** 2 for v, c in zip((x, y, z), centre, strict=True))
@@ -124,7 +123,7 @@ def ball(centre: Point, radius_m: float) -> Distance:
 
 
 def wedge(corners: list[tuple[float, float]], y_from: float, y_to: float, round_m: float) -> Distance:
-    """A convex polygon of (x, z) corners, counter-clockwise as seen with x to the right, extruded along y."""
+    """Extrude a convex polygon of (x, z) corners along y; corners counter-clockwise as seen with x to the right."""
     shifted = [*corners[1:], corners[0]]
 
     def distance(x: Array, y: Array, z: Array) -> Array:
@@ -140,5 +139,5 @@ def wedge(corners: list[tuple[float, float]], y_from: float, y_to: float, round_
 
 
 def pair(part: Distance) -> Distance:
-    """The part and its mirror image in y = 0; the part itself lies at y > 0."""
+    """Unite a part at y > 0 with its mirror image in y = 0."""
     return lambda x, y, z: part(x, np.abs(y), z)

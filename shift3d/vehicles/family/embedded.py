@@ -1,7 +1,7 @@
-"""The embedded family: published ranges of real vehicles by body type, and instances drawn from them.
+"""Embedded family: published ranges of real vehicles by body type, and vehicles drawn from them.
 
-Ranges are those of vehicles on the market (makers' data sheets), body type by body type: outer size, ground
-clearance and wheelbase in metres; the roof line as shares of length and height.
+The ranges are those of vehicles on the market (makers' data sheets): outer size, ground clearance and wheelbase in
+metres, and the roof line as shares of length and height.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from shift3d.seeding import generator
 from shift3d.vehicles.family.spec import BODY_TYPES, CAB_TYPES, VehicleSpec
 
 Range = tuple[float, float]
-Ranges = dict[str, Range]
-"""Ranges of one body type by name: `_m` in metres, `_of_length` and `_of_height` as shares."""
+Ranges = dict[str, Range]  # ranges of one body type by name: `_m` in metres, `_of_length` and `_of_height` as shares
 
 
 def _read_ranges() -> dict[str, Ranges]:
@@ -32,16 +31,16 @@ def _read_ranges() -> dict[str, Ranges]:
 
 
 ALL_RANGES = _read_ranges()
-"""``ranges.csv`` by body type; of the wide family's own types it has proportions alone."""
+"""Content of ``ranges.csv`` by body type; the wide family's additional types have proportions only."""
 RANGES = {body_type: ALL_RANGES[body_type] for body_type in BODY_TYPES}
 
 
 def sample_spec(body_type: str, rng: np.random.Generator) -> VehicleSpec:
-    """One vehicle of a body type, drawn from its ranges.
+    """Draw one vehicle of a body type from its ranges.
 
     Args:
         body_type: one of BODY_TYPES.
-        rng: the only source of randomness; one size draw ties length, width, height and wheelbase together.
+        rng: the only source of randomness; one size draw correlates length, width, height and wheelbase.
     Raises: InputError for an unknown body type.
     Source: our choice: the paper takes its vehicles from ShapeNet.
     """
@@ -51,7 +50,7 @@ def sample_spec(body_type: str, rng: np.random.Generator) -> VehicleSpec:
 
 
 def draw_spec(body_type: str, ranges: Ranges, rng: np.random.Generator) -> VehicleSpec:
-    """One vehicle drawn from the given ranges; see `sample_spec`."""
+    """Draw one vehicle from the given ranges; see `sample_spec`."""
     size = rng.uniform()
 
     def draw(span: Range, tied: float = 0.0) -> float:
@@ -90,9 +89,9 @@ def draw_spec(body_type: str, ranges: Ranges, rng: np.random.Generator) -> Vehic
 
 
 def family(count: int, seed: int) -> list[VehicleSpec]:
-    """`count` different vehicles, body types in turn so that any prefix is balanced; the same for the same seed.
+    """Draw `count` different vehicles; body types take turns, so that any prefix is balanced.
 
-    Instance i depends on (seed, i) alone: a longer family begins with the shorter one.
+    Vehicle i depends on (seed, i) alone: a longer family begins with the shorter one.
     Source: our choice: the paper is silent on how many vehicles of which type its DeepSDF saw.
     """
     turns = itertools.islice(itertools.cycle(BODY_TYPES), count)

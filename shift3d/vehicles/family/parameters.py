@@ -1,7 +1,7 @@
-"""A wide vehicle as one vector of numbers: what the codes of the parametric decoder are made of.
+"""Parameter vectors of wide vehicles: the input from which the parametric decoder's codes are made.
 
-The vector holds which body type and which attributes a vehicle has (ones and zeros), and every length of its chassis
-and its parts. Two vehicles of one kind differ in the lengths alone, so that a search over these stays among vehicles.
+A vector holds body type and attributes (ones and zeros), and every length of chassis and parts. Two vehicles of one
+kind differ in the lengths alone, so a search over the lengths yields only vehicles.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _LOPSIDED = ("ladder", "spare_wheel", "roof_box", "tail_bicycles", "dented", "mi
 
 
 def is_symmetric(spec: WideSpec) -> bool:
-    """Whether left and right are alike: no attribute stands to one side."""
+    """True if left and right are mirror images: no attribute is off-centre."""
     return not any(name in _LOPSIDED for name in spec.attributes)
 
 
 def named_parameters(spec: WideSpec) -> dict[str, float]:
-    """Every length of a vehicle by name, "chassis.length_m", "RoofBox.rise_m"; metres, counts as numbers.
+    """Return every length of a vehicle by name, e.g. "chassis.length_m", "RoofBox.rise_m"; metres, counts as numbers.
 
-    What its body type and attributes are called is not among them.
+    Body type and attributes are not included.
     """
     chassis = {f"chassis.{name}": value for name, value in _numbers(spec.chassis)}
     return chassis | {f"{type(part).__name__}.{name}": value for part in spec.parts for name, value in _numbers(part)}
@@ -38,7 +38,7 @@ def named_parameters(spec: WideSpec) -> dict[str, float]:
 
 def _numbers(record: object) -> Iterator[tuple[str, float]]:
     if isinstance(record, Dents):
-        # A dent that is not there is a ball of no size at the origin.
+        # Unused dents are balls of radius zero at the origin.
         balls = [*record.balls, *[(0.0, 0.0, 0.0, 0.0)] * (MOST_DENTS - len(record.balls))]
         for index, ball in enumerate(balls[:MOST_DENTS]):
             yield from ((f"ball_{index}_{axis}_m", value) for axis, value in zip("xyzr", ball, strict=True))
@@ -54,11 +54,11 @@ def _numbers(record: object) -> Iterator[tuple[str, float]]:
 
 @dataclass(frozen=True)
 class ParameterTable:
-    """Parameters of a family as rows of one table.
+    """Table layout for the parameter vectors of a family.
 
-    names: (P,) of the columns: "is:sedan", "has:roof_box", lengths. centre, spread: (P,) of the columns' values, in
-    the unit of the parameter, over the vehicles that have it; a row holds (value - centre) / spread, and 0 where a
-    vehicle has no such parameter.
+    names: (P,) of the columns: "is:sedan", "has:roof_box", lengths. centre, spread: (P,) mean and standard deviation
+    of the columns, in the unit of the parameter, over the vehicles with that parameter. A row holds
+    (value - centre) / spread, and 0 for a parameter that the vehicle lacks.
     """
 
     names: tuple[str, ...]
@@ -66,7 +66,7 @@ class ParameterTable:
     spread: NDArray[np.float64]
 
     def row(self, spec: WideSpec) -> NDArray[np.float64]:
-        """The vector (P,) of a vehicle."""
+        """Return the parameter vector (P,) of a vehicle."""
         values = named_parameters(spec)
         row = np.zeros(len(self.names))
         for index, name in enumerate(self.names):
@@ -79,12 +79,12 @@ class ParameterTable:
         return row
 
     def rows(self, specs: Sequence[WideSpec]) -> NDArray[np.float64]:
-        """(N, P) of vehicles."""
+        """Return the parameter vectors (N, P) of vehicles."""
         return np.stack([self.row(spec) for spec in specs])
 
 
 def parameter_table(specs: Sequence[WideSpec]) -> ParameterTable:
-    """The table whose columns fit the given vehicles; its scales are theirs. Source: our choice."""
+    """Build the table layout for the given vehicles; centre and spread are theirs. Source: our choice."""
     held: dict[str, list[float]] = {}
     for spec in specs:
         for name, value in named_parameters(spec).items():
@@ -92,6 +92,6 @@ def parameter_table(specs: Sequence[WideSpec]) -> ParameterTable:
     kinds = [*(f"is:{name}" for name in WIDE_BODY_TYPES), *(f"has:{name}" for name in ATTRIBUTES)]
     lengths = sorted(held)
     centre = [0.0] * len(kinds) + [float(np.mean(held[name])) for name in lengths]
-    # A parameter that is the same for all of them says nothing: its column is 0.
+    # A parameter with one value for all vehicles carries no information: its column is 0.
     spread = [1.0] * len(kinds) + [float(np.std(held[name])) or 1.0 for name in lengths]
     return ParameterTable((*kinds, *lengths), np.array(centre), np.array(spread))

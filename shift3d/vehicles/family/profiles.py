@@ -1,4 +1,4 @@
-"""Side-view polygons and cross-section widths of a vehicle: what makes a body type read as that type.
+"""Side-view polygons and cross-section widths of a vehicle, which make its body type recognizable.
 
 Polygons are lists of corners (s, z) in metres: s backwards from the nose, z up from the ground.
 """
@@ -15,7 +15,7 @@ Polygon = list[tuple[float, float]]
 
 
 def polygon_distance(points: Array, corners: Array) -> Array:
-    """Signed distance of points (N, 2) to a simple polygon (M, 2), negative inside, float32."""
+    """Compute the signed distance of points (N, 2) to a simple polygon (M, 2), negative inside, float32."""
     following = np.roll(corners, -1, axis=0)
     best = np.full(len(points), np.inf, np.float32)
     inside = np.zeros(len(points), bool)
@@ -31,7 +31,7 @@ def polygon_distance(points: Array, corners: Array) -> Array:
 
 
 def lower_body(spec: VehicleSpec) -> Polygon:
-    """Bumpers, hood, belt and deck: everything below the glass."""
+    """Return the outline below the glass: bumpers, hood, belt and deck."""
     length, low = spec.length_m, spec.clearance_m
     hood_mid = 0.45 * spec.cowl_s_m
     hood_mid_z = spec.nose_z_m + 0.62 * (spec.cowl_z_m - spec.nose_z_m)
@@ -56,7 +56,7 @@ def lower_body(spec: VehicleSpec) -> Polygon:
 
 
 def glasshouse(spec: VehicleSpec) -> Polygon:
-    """Windshield, roof and rear window, its foot sunk into the lower body."""
+    """Return the outline of windshield, roof and rear window; its foot is sunk into the lower body."""
     sunk = 0.18
     crown_s = 0.45 * spec.roof_front_s_m + 0.55 * spec.roof_rear_s_m
     if spec.body_type in ("coupe", "sports_car"):
@@ -75,7 +75,7 @@ def glasshouse(spec: VehicleSpec) -> Polygon:
 
 
 def lower_half_width(spec: VehicleSpec, z: Array) -> Array:
-    """Half width of the lower body by height: tucked under at the sills, fullest at the hips."""
+    """Return the lower body's half width at heights z: narrow at the sills, widest at the hips."""
     half, low = spec.width_m / 2, spec.clearance_m
     hips = low + 0.55 * (spec.cowl_z_m - low)
     heights = [low, low + 0.12, hips, spec.cowl_z_m, spec.cowl_z_m + 0.3]
@@ -84,7 +84,7 @@ def lower_half_width(spec: VehicleSpec, z: Array) -> Array:
 
 
 def glasshouse_half_width(spec: VehicleSpec, z: Array) -> Array:
-    """Half width of the glasshouse by height: set in by the shoulder at the belt, leaning in by the tumblehome."""
+    """Return the glasshouse's half width at heights z: the shoulder narrows the belt, the tumblehome the roof."""
     foot = spec.width_m / 2 - 0.045 - spec.shoulder_m
     run = spec.height_m - spec.cowl_z_m
     lean = np.clip((z - spec.cowl_z_m) / run, -0.3, 1.2)
@@ -92,7 +92,7 @@ def glasshouse_half_width(spec: VehicleSpec, z: Array) -> Array:
 
 
 def spoiler(spec: VehicleSpec) -> Polygon:
-    """A lip on the tail of a sports car."""
+    """Return the outline of a lip on the tail of a sports car."""
     tail = spec.length_m - 0.03
     return [
         (tail - 0.34, spec.tail_z_m - 0.10),
@@ -103,7 +103,7 @@ def spoiler(spec: VehicleSpec) -> Polygon:
 
 
 def cabin_cavity(spec: VehicleSpec) -> Polygon:
-    """The open cabin of a convertible, from behind the dashboard to the rear shelf."""
+    """Return the outline of a convertible's open cabin, from behind the dashboard to the rear shelf."""
     floor = spec.clearance_m + 0.16
     return [
         (spec.cowl_s_m + 0.42, spec.height_m + 0.3),
@@ -117,7 +117,7 @@ def cabin_cavity(spec: VehicleSpec) -> Polygon:
 
 
 def windshield_frame(spec: VehicleSpec) -> Polygon:
-    """The windshield that stands alone above a convertible's cowl, thick enough for the grid."""
+    """Return the outline of the free-standing windshield of a convertible, thick enough for the grid."""
     slope = (spec.roof_front_s_m - spec.cowl_s_m) / (spec.height_m - spec.cowl_z_m)
     foot = spec.cowl_s_m + 0.02 - slope * 0.15
     return [
@@ -129,7 +129,7 @@ def windshield_frame(spec: VehicleSpec) -> Polygon:
 
 
 def seats(spec: VehicleSpec) -> list[tuple[Polygon, float, float]]:
-    """Front seats (mirrored) and rear bench of a convertible: (polygon, y from, y to), metres."""
+    """Return front seats (mirrored) and rear bench of a convertible: (polygon, y from, y to), metres."""
     floor = spec.clearance_m + 0.10
     front = spec.cowl_s_m + 0.52 * (spec.roof_rear_s_m - spec.cowl_s_m)
     top = min(spec.height_m - 0.16, spec.deck_z_m + 0.22)
@@ -152,7 +152,7 @@ def seats(spec: VehicleSpec) -> list[tuple[Polygon, float, float]]:
 
 
 def bed(spec: VehicleSpec) -> Polygon:
-    """The open load bed of a pickup."""
+    """Return the outline of a pickup's open load bed."""
     floor = spec.clearance_m + 0.42
     start = spec.backlight_s_m + 0.10
     end = spec.length_m - 0.13

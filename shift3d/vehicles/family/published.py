@@ -1,12 +1,12 @@
-"""Published dimensions of production vehicles by body type (``published.csv``): what the families are checked against.
+"""Published dimensions of production vehicles by body type (``published.csv``), the reference for the families.
 
-Of models sold between 2010 and 2025, rounded to a centimetre (ground clearance to 5 mm), written down from general
-knowledge; a handful were compared with published pages. Models were added after the first comparison with the family,
-where one of its quantities lay outside: the table says that such vehicles exist, and is no independent test.
-Width is without mirrors, height without roof rails, a convertible's with its roof closed. Ground clearance is given
-where the maker states it, and see CLEARANCE_TOLERANCE_M. Tyres are the common size, sidewall code and rim. A limousine
-is a stretched sedan: its length is the base car's and the stretch that the coachbuilder names. Of box vans and campers
-the body is the converter's: overall size of the finished vehicle.
+Models sold between 2010 and 2025, rounded to a centimetre (ground clearance to 5 mm), written down from general
+knowledge; a handful were compared with published pages. After the first comparison, models were added wherever a
+quantity of the family was out of range. The table therefore shows that such vehicles exist; it is no independent
+test. Width is without mirrors, height without roof rails, for convertibles with the roof closed. Ground clearance is
+given if the maker states it, see CLEARANCE_TOLERANCE_M. Tyres are the common size, sidewall code and rim. A limousine
+is a stretched sedan: its length is the base car's plus the coachbuilder's stretch. Box vans and campers have the
+overall size of the finished vehicle, with the converter's body.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from pathlib import Path
 
 INCH_M = 0.0254
 CLEARANCE_TOLERANCE_M = 0.01
-"""Makers state ground clearance empty or laden, which differ by about 2 cm, and few state it at all."""
+"""Tolerance: makers state ground clearance empty or laden, about 2 cm apart; few state it at all."""
 QUANTITIES = ("length_m", "width_m", "height_m", "wheelbase_m", "clearance_m", "tyre_diameter_m")
 
 
 @dataclass(frozen=True)
 class PublishedModel:
-    """One production model: outer dimensions in metres (clearance None where the maker gives none), tyre size."""
+    """Production model: outer dimensions in metres, tyre size; clearance_m is None if the maker states none."""
 
     name: str
     length_m: float
@@ -41,7 +41,7 @@ class PublishedModel:
 
 
 def tyre_diameter_m(tyre: str) -> float:
-    """Diameter of a tyre such as "205/55 R16": twice the sidewall (55 % of 205 mm) and the rim (16 inches), metres."""
+    """Compute the diameter of e.g. "205/55 R16", metres: twice the sidewall (55 % of 205 mm) plus the 16-inch rim."""
     width_mm, aspect_percent, rim_inch = map(int, re.split("/| R", tyre))
     return 2e-5 * width_mm * aspect_percent + rim_inch * INCH_M
 
@@ -68,7 +68,7 @@ TRAILERS: tuple[tuple[str, float, float, float], ...] = (
 
 
 def published_range(body_type: str, quantity: str) -> tuple[float, float]:
-    """Least and largest published value of a quantity (one of QUANTITIES), metres, clearance with its tolerance."""
+    """Return minimum and maximum of a published quantity (one of QUANTITIES), metres; clearance with its tolerance."""
     found = (getattr(model, quantity) for model in PUBLISHED[body_type])
     values = [float(value) for value in found if value is not None]
     tolerance = CLEARANCE_TOLERANCE_M if quantity == "clearance_m" else 0.0

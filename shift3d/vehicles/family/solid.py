@@ -1,7 +1,7 @@
-"""A vehicle as an implicit solid: side profile x cross-section x plan view, joined by smooth CSG, meshed once.
+"""Vehicle as an implicit solid: side profile x cross-section x plan view, joined by smooth CSG and meshed once.
 
-Working frame: x forward, y left, z up, x = 0 half way along the length, z = 0 on the ground, metres. Only the half
-y >= 0 is evaluated and mirrored, so a vehicle is exactly symmetric.
+Working frame: x forward, y left, z up, x = 0 at half the length, z = 0 on the ground, metres. Only the half y >= 0 is
+evaluated and then mirrored, so a vehicle is exactly symmetric.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from shift3d.vehicles.family.spec import VehicleSpec
 
 Array = NDArray[np.float32]
 Corner = NDArray[np.float64]
-# Not exactly zero: a grid point that lies on the surface would give triangles without area.
+# Not zero: a grid point exactly on the surface would give triangles without area.
 LEVELS_M = (1.37e-5, 2.9e-4, -3.1e-4, 6.7e-4, -7.1e-4, 1.9e-3)
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The half grid: axes x (A,), y (B,) from 0, z (C,), all float32 metres, one spacing."""
+    """Grid axes x (A,), y (B,), z (C,), all float32 metres, with equal spacing; on a half grid y starts at 0."""
 
     x: Array
     y: Array
@@ -34,18 +34,18 @@ class Grid:
 
 
 def smooth_max(a: Array, b: Array, radius_m: float) -> Array:
-    """Intersection of two fields with its edge rounded over about `radius_m` metres."""
+    """Intersect two fields, with the edge rounded over about `radius_m` metres."""
     gap = np.maximum(radius_m - np.abs(a - b), np.float32(0.0))
     return np.asarray(np.maximum(a, b) + gap * gap * np.float32(0.25 / radius_m), np.float32)
 
 
 def smooth_min(a: Array, b: Array, radius_m: float) -> Array:
-    """Union of two fields with its crease filled over about `radius_m` metres."""
+    """Unite two fields, with the crease filled over about `radius_m` metres."""
     return -smooth_max(-a, -b, radius_m)
 
 
 def half_grid(low: Corner, high: Corner, resolution_m: float) -> Grid:
-    """The half grid of a solid between two corners (x, y, z), three cells of margin, y = 0 among its planes."""
+    """Return the half grid of a solid between two corners (x, y, z): three cells of margin, a plane at y = 0."""
     margin = 3.0 * resolution_m
 
     def axis(first: float, last: float) -> Array:
@@ -59,7 +59,7 @@ def half_grid(low: Corner, high: Corner, resolution_m: float) -> Grid:
 
 
 def polygon_field(grid: Grid, spec: VehicleSpec, polygon: list[tuple[float, float]], blur_m: float) -> Array:
-    """Signed distance (A, C) to a side-view polygon of (s, z) corners, corners rounded by a blur of `blur_m`."""
+    """Compute the signed distance (A, C) to a side-view polygon of (s, z) corners, rounded by a blur of `blur_m`."""
     s = spec.length_m / 2 - grid.x
     points = np.stack(np.meshgrid(s, grid.z, indexing="ij"), axis=-1).reshape(-1, 2)
     field = profiles.polygon_distance(points, np.asarray(polygon, np.float32)).reshape(len(grid.x), len(grid.z))
@@ -67,7 +67,7 @@ def polygon_field(grid: Grid, spec: VehicleSpec, polygon: list[tuple[float, floa
 
 
 def bowed(grid: Grid, spec: VehicleSpec, field: Array) -> Array:
-    """A side-view field (A, C) spread over y as (A, B, C), shortened towards the sides: noses and glass are curved."""
+    """Spread a side-view field (A, C) over y to (A, B, C), shorter towards the sides: noses and glass are curved."""
     half = spec.length_m / 2
     t = np.minimum(grid.y / (spec.width_m / 2), 1.1) ** 2
     stretch = np.where(
@@ -80,7 +80,7 @@ def bowed(grid: Grid, spec: VehicleSpec, field: Array) -> Array:
 
 
 def sides(grid: Grid, spec: VehicleSpec, half_width: Array) -> Array:
-    """Distance to the flanks (A, B, C): |y| minus a half width by height (C,), narrowing towards both ends."""
+    """Return the distance to the flanks (A, B, C): |y| minus a half width by height (C,), narrower towards the ends."""
     start = 0.25 * spec.length_m
     reach = np.clip((np.abs(grid.x) - start) / (spec.length_m / 2 - start), 0.0, 1.2)
     taper = (spec.plan_taper_m * reach**2).astype(np.float32)
@@ -90,19 +90,19 @@ def sides(grid: Grid, spec: VehicleSpec, half_width: Array) -> Array:
 def cylinder(
     grid: Grid, centre_x: float, centre_z: float, radius_m: float, y_from: float, y_to: float, round_m: float
 ) -> Array:
-    """A wheel-like cylinder along y (A, B, C), its rims rounded."""
+    """Build a wheel-like cylinder along y (A, B, C) with rounded rims."""
     disc = np.hypot(grid.x[:, None] - centre_x, grid.z[None, :] - centre_z).astype(np.float32) - np.float32(radius_m)
     return prism(grid, disc, y_from, y_to, round_m)
 
 
 def prism(grid: Grid, side_field: Array, y_from: float, y_to: float, round_m: float) -> Array:
-    """A side-view field extruded from y_from to y_to (A, B, C), its rims rounded."""
+    """Extrude a side-view field from y_from to y_to (A, B, C) with rounded rims."""
     slab = np.maximum(np.float32(y_from) - grid.y, grid.y - np.float32(y_to))[None, :, None]
     return smooth_max(side_field[:, None, :], slab, round_m)
 
 
 def body_field(grid: Grid, spec: VehicleSpec) -> Array:
-    """The body without wheels (A, B, C): lower body and glasshouse, or an open cabin or bed."""
+    """Build the body without wheels (A, B, C): lower body and glasshouse, or an open cabin or bed."""
     lower = smooth_max(
         bowed(grid, spec, polygon_field(grid, spec, profiles.lower_body(spec), 0.03)),
         sides(grid, spec, profiles.lower_half_width(spec, grid.z)),
@@ -142,14 +142,14 @@ def _open_bed(grid: Grid, spec: VehicleSpec, body: Array) -> Array:
 
 
 def car_field(grid: Grid, spec: VehicleSpec) -> Array:
-    """The whole vehicle on a half grid that holds it: (A, B, C) float32, negative inside, about metres."""
+    """Build the whole vehicle on a half grid that contains it: (A, B, C) float32, negative inside, about metres."""
     field = body_field(grid, spec)
     outer = spec.width_m / 2
     arch = spec.wheel_radius_m + spec.arch_gap_m
     inner = outer - 0.04 - spec.tyre_width_m
     for axle_s in (spec.front_axle_s_m, spec.front_axle_s_m + spec.wheelbase_m):
         axle_x = spec.length_m / 2 - axle_s
-        # Fenders: without them the arches would break through a low hood, an open cabin or a load bed.
+        # Without fenders the arches would break through a low hood, an open cabin or a load bed.
         fender = cylinder(grid, axle_x, spec.wheel_radius_m, arch + 0.06, inner - 0.10, outer - 0.03, 0.06)
         fender = np.maximum(fender, np.float32(spec.clearance_m + 0.03) - grid.z)
         field = smooth_min(field, fender, 0.05)
@@ -163,10 +163,10 @@ def car_field(grid: Grid, spec: VehicleSpec) -> Array:
 
 
 def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025) -> trimesh.Trimesh:
-    """A watertight mesh of the vehicle.
+    """Build a watertight mesh of the vehicle.
 
     Args:
-        spec: the vehicle; its length, width and height hold exactly for the mesh's axis-aligned box.
+        spec: the vehicle; the mesh's axis-aligned box has exactly its length, width and height.
         resolution_m: grid spacing, metres; 0.025 shows every part, 0.05 is enough for ray casting from metres away.
     Returns: mesh in the object frame (x forward, y left, z up, origin at the centre of its box), metres.
     Raises: InputError for a spec that cannot be built.
@@ -179,14 +179,14 @@ def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025) -> trimesh.Trimes
 
 
 def mirrored(half: Array) -> Array:
-    """The field on the whole grid (A, 2 B - 1, C) from that on the half grid (A, B, C)."""
+    """Mirror the field on the half grid (A, B, C) to the whole grid (A, 2 B - 1, C)."""
     return np.concatenate([half[:, :0:-1], half], axis=1)
 
 
 def sized_mesh(
     field: Array, step_m: float, size_m: tuple[float, float, float], faces: int | None = None
 ) -> trimesh.Trimesh:
-    """The surface of a field on a whole grid, scaled to its stated size, centred at the origin; see `build_mesh`."""
+    """Mesh a field on a whole grid, scaled to its stated size and centred at the origin; see `build_mesh`."""
     mesh = _meshed(field, step_m)
     if faces is not None and len(mesh.faces) > faces:
         mesh = _simplified(mesh, faces)
@@ -196,7 +196,7 @@ def sized_mesh(
 
 
 def _meshed(field: Array, step_m: float) -> trimesh.Trimesh:
-    """The largest closed surface of a field; a level at which marching cubes pinches an edge is passed over."""
+    """Return the largest surface of a field. Levels at which marching cubes pinches an edge are skipped."""
     for level in LEVELS_M:
         vertices, triangles, _, _ = marching_cubes(field, level, spacing=(step_m,) * 3)
         mesh = trimesh.Trimesh(vertices, triangles[:, ::-1], process=True)

@@ -1,4 +1,4 @@
-"""What one procedural vehicle is: body type and dimensions, all in metres."""
+"""Specification of one procedural vehicle: body type and dimensions in metres."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ BODY_TYPES: tuple[str, ...] = (
     "van",
     "pickup",
 )
-"""Of the embedded family, in the order in which it takes turns."""
+"""Body types of the embedded family, in the order in which the family cycles through them."""
 MORE_BODY_TYPES: tuple[str, ...] = ("city_car", "minivan", "kei_car", "limousine", "high_roof_van", "box_van", "camper")
-"""Of the wide family alone; a trailer has no cab and is no `VehicleSpec`."""
+"""Further body types of the wide family. A trailer has no cab and no `VehicleSpec`."""
 CAB_TYPES: tuple[str, ...] = ("pickup", "box_van", "camper")
-"""What ends behind the cab: a bed or a frame follows."""
+"""Body types whose body ends behind the cab; a bed or a frame follows."""
 
 
 @dataclass(frozen=True)
 class VehicleSpec:
-    """One vehicle: lengths in metres; `_s_m` is measured backwards from the nose, `_z_m` up from the ground.
+    """Dimensions of one vehicle in metres; `_s_m` counts backwards from the nose, `_z_m` up from the ground.
 
-    Frame of the numbers: the vehicle's own side view, so that a nose is at s = 0 and the tail at s = length_m.
+    The frame is the vehicle's side view: the nose is at s = 0, the tail at s = length_m.
     Source: our choice: the paper takes its vehicles from ShapeNet, whose licence forbids shipping them.
     """
 
@@ -62,7 +62,7 @@ class VehicleSpec:
     spoiler_m: float = 0.0
 
     def validate(self) -> None:
-        """Raises InputError naming the field when the vehicle cannot be built."""
+        """Raise InputError naming the field if the vehicle cannot be built."""
         if self.body_type not in BODY_TYPES + MORE_BODY_TYPES:
             remedy = f"Choose from {', '.join(BODY_TYPES + MORE_BODY_TYPES)}"
             raise InputError(f"unknown body type {self.body_type!r}", "VehicleSpec.body_type", remedy)

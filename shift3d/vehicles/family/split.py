@@ -1,4 +1,4 @@
-"""Which body types and attributes training sees, and which are held out for attacks and for evaluation."""
+"""Split of body types and attributes into seen ones for training and held-out ones for attacks and evaluation."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ WIDE_BODY_TYPES = (*BODY_TYPES, *MORE_BODY_TYPES, "trailer")
 
 @dataclass(frozen=True)
 class FamilySplit:
-    """Names of body types and attributes, each on one side.
+    """Names of body types and attributes, each on one side of the split.
 
-    A vehicle is seen where its body type and all its attributes are; one thing held out makes it held out.
+    A vehicle is seen if its body type and all its attributes are seen. One held-out name makes it held out.
     """
 
     seen: tuple[str, ...]
     held_out: tuple[str, ...]
 
     def types(self, side: str) -> tuple[str, ...]:
-        """Body types of a side, "seen" or "held_out"."""
+        """Return the body types of a side, "seen" or "held_out"."""
         return tuple(name for name in getattr(self, side) if name in WIDE_BODY_TYPES)
 
     def attributes(self, side: str) -> tuple[str, ...]:
-        """Attributes of a side."""
+        """Return the attributes of a side."""
         return tuple(name for name in getattr(self, side) if name in ATTRIBUTES)
 
     def to_dict(self) -> dict[str, dict[str, list[str]]]:
-        """Plain values for the record of a training."""
+        """Return plain values for the training record."""
         return {
             side: {"body_types": list(self.types(side)), "attributes": list(self.attributes(side))}
             for side in ("seen", "held_out")
@@ -43,4 +43,4 @@ SPLIT = FamilySplit(
         "roof_box", "tail_bicycles", "open_tailgate", "lifted", "dented", "missing_panels",
     ),
 )  # fmt: skip
-"""What ordinary traffic is made of is seen; what a detector meets seldom is held out."""
+"""Seen are the vehicles of ordinary traffic; held out are the ones that a detector rarely meets."""

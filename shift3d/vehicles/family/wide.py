@@ -1,11 +1,11 @@
-"""The wide family: vehicles of every body type and attribute, dense in their sizes, each a closed mesh of stated size.
+"""Wide family: vehicles of all body types and attributes, densely sized, each a closed mesh of stated size.
 
-Length, width, height, wheelbase, ground clearance and tyres run from the least to the largest published value of a body
-type (makers' data sheets, `published`). Shares of length and height are our choice, read off side views: those of the
-embedded family, each range half as wide again, and of the other body types as ``ranges.csv`` has them (of a box van or
-a camper: of the cab's own height).
+Length, width, height, wheelbase, ground clearance and tyres span the published range of the body type (makers' data
+sheets, `published`). Shares of length and height are our choice, read off side views: for the embedded body types the
+embedded ranges, each extended to 1.5 times its width; for the others the values of ``ranges.csv`` (box vans and
+campers: shares of the cab's height).
 
-It stands beside the embedded family, which keeps its bytes: the shipped decoder was trained on that one.
+The embedded family stays unchanged bit for bit beside it, because the shipped decoder was trained on that family.
 """
 
 from __future__ import annotations
@@ -34,36 +34,35 @@ _WIDENED = (
     "nose_of_height", "cowl_of_length", "cowl_of_height", "roof_front_of_length", "roof_rear_of_length", "roof_drop_m",
     "backlight_of_length", "deck_of_height", "tail_of_height", "tumblehome_m",
 )  # fmt: skip
-WIDENED = 0.25
-"""Of its width an embedded range of proportions is extended by at either end."""
+WIDENED = 0.25  # share of its width by which an embedded range of proportions is extended at either end
 BOXES = ("box_van", "camper")
-_CAB_M: Ranges = {"width_m": (2.00, 2.05), "height_m": (2.12, 2.32)}  # of these, the body apart
+_CAB_M: Ranges = {"width_m": (2.00, 2.05), "height_m": (2.12, 2.32)}  # cab of BOXES, without the body
 _TRAILER_M: Ranges = {
     name: (min(values), max(values))
     for name, values in zip(("length_m", "width_m", "height_m"), list(zip(*TRAILERS))[1:], strict=True)
 } | {"drawbar_m": (1.10, 1.45), "floor_m": (0.45, 0.62), "wheel_radius_m": (0.26, 0.32)}
-"""Outer length, width and height (makers' data sheets); drawbar, floor and wheels (ours)."""
+"""Ranges of outer length, width and height (makers' data sheets); of drawbar, floor and wheels (ours)."""
 Side = Literal["seen", "held_out"]
 CYCLE = (
     "hatchback", "suv", "sedan", "beach_wagon", "city_car", "suv", "van", "coupe", "hatchback", "minivan", "sedan",
     "pickup", "hatchback", "suv", "beach_wagon", "sports_car", "city_car", "sedan", "convertible", "hatchback",
 )  # fmt: skip
-"""Body types of seen vehicles in turn, common ones more often (our choice)."""
+"""Body types of seen vehicles in turn; common types come more often (our choice)."""
 NO_ATTRIBUTE, TWO_ATTRIBUTES = 0.6, 0.15
-"""Shares of seen vehicles without an attribute, and of those with one that have another as well (our choice)."""
+"""Share of seen vehicles without an attribute; share of the others that get a second attribute (our choice)."""
 _TRIES = 200
 _STUBBY = ("kei_car", "city_car")
-"""Short cars with wheels at their corners: of the roundness that longer ones have in plan, half."""
+"""Short cars with wheels at their corners. They get half of the plan-view roundness of longer cars."""
 
 
 @dataclass(frozen=True)
 class WideSpec:
-    """One vehicle of the wide family, metres.
+    """Specification of one vehicle of the wide family, metres.
 
     Attributes:
-        body_type: of `split.WIDE_BODY_TYPES`. attributes: names of `attributes.ATTRIBUTES`, as drawn.
-        chassis: the vehicle on its wheels; of box vans and campers the cab and the frame.
-        parts: what is added to it or taken out of it, in order.
+        body_type: of `split.WIDE_BODY_TYPES`. attributes: names of `attributes.ATTRIBUTES`, in drawing order.
+        chassis: the vehicle on its wheels; for box vans and campers the cab and the frame.
+        parts: parts to add or cut out, in order.
     """
 
     body_type: str
@@ -73,12 +72,12 @@ class WideSpec:
 
     @property
     def kind(self) -> str:
-        """Body type and attributes in one word: "sedan", "suv+roof_box"."""
+        """Body type and attributes in one word, e.g. "sedan", "suv+roof_box"."""
         return "+".join((self.body_type, *self.attributes))
 
     @property
     def bounds_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Low and high corner, the origin on the ground half way along the chassis."""
+        """Low and high corner in metres; the origin is on the ground at the middle of the chassis."""
         half = np.array([self.chassis.length_m / 2, self.chassis.width_m / 2])
         low, high = np.array([*-half, 0.0]), np.array([*half, self.chassis.height_m])
         if isinstance(self.chassis, VehicleSpec):
@@ -89,16 +88,16 @@ class WideSpec:
 
     @property
     def size_m(self) -> tuple[float, float, float]:
-        """Length, width and height of the whole, parts included."""
+        """Length, width and height in metres, parts included."""
         low, high = self.bounds_m
         return float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2])
 
 
 def draw_wide(body_type: str, attributes: tuple[str, ...], rng: np.random.Generator) -> WideSpec:
-    """One vehicle of a body type with attributes, its sizes drawn from published ranges.
+    """Draw one vehicle of a body type with attributes, with sizes from published ranges.
 
     Args:
-        body_type: of `WIDE_BODY_TYPES`. attributes: names that this body type may carry, one a place at most.
+        body_type: of `WIDE_BODY_TYPES`. attributes: names that this body type can carry, at most one per place.
         rng: the only source of randomness.
     Raises: InputError for an unknown name, or an attribute that the body type cannot carry.
     Source: our choice: the paper takes its vehicles from ShapeNet.
@@ -131,7 +130,7 @@ def _check(body_type: str, attributes: tuple[str, ...]) -> None:
 
 
 def wide_ranges(body_type: str) -> Ranges:
-    """Ranges of a body type; those of a box van or a camper are of its cab, but for length and wheelbase."""
+    """Return the ranges of a body type. For box vans and campers all but length and wheelbase refer to the cab."""
     low, high = published_range(body_type, "tyre_diameter_m")
     size = {name: published_range(body_type, name) for name in _PUBLISHED} | {"wheel_radius_m": (low / 2, high / 2)}
     if body_type in BOXES:
@@ -145,7 +144,7 @@ def wide_ranges(body_type: str) -> Ranges:
 
 
 def _draw_car(body_type: str, rng: np.random.Generator) -> VehicleSpec:
-    """Drawn again until wheels, hood and roof fit: ranges of different models do not fit in every combination."""
+    """Draw until wheels, hood and roof fit: ranges of different models do not fit in every combination."""
     ranges = wide_ranges(body_type)
     for _ in range(_TRIES):
         car = draw_spec(body_type, ranges, rng)
@@ -197,10 +196,10 @@ def _draw_trailer(rng: np.random.Generator) -> Trailer:
 
 
 def wide_vehicle(index: int, seed: int, side: Side = "seen") -> WideSpec:
-    """Vehicle `index` of a side of the split: it depends on (side, seed, index) alone.
+    """Draw vehicle `index` of a side of the split; the result depends on (side, seed, index) alone.
 
-    Seen: body types in the order of CYCLE, seen attributes at random. Held out: the held-out names in turn, an
-    attribute on a seen body type that may carry it, so that each vehicle has one thing that training never saw.
+    Seen: body types in the order of CYCLE, with random seen attributes. Held out: the held-out names in turn, an
+    attribute on a seen body type that can carry it, so that each vehicle has one thing unknown to training.
     Raises: InputError for an unknown side. Source: our choice.
     """
     if side not in ("seen", "held_out"):
@@ -228,16 +227,16 @@ def _seen_attributes(body_type: str, rng: np.random.Generator) -> tuple[str, ...
 
 
 def wide_family(count: int, seed: int, side: Side = "seen") -> list[WideSpec]:
-    """The first `count` vehicles of a side; a longer family begins with the shorter one."""
+    """Draw the first `count` vehicles of a side; a longer family begins with the shorter one."""
     return [wide_vehicle(index, seed, side) for index in range(count)]
 
 
 def build_wide_mesh(spec: WideSpec, resolution_m: float = 0.025, faces: int | None = None) -> trimesh.Trimesh:
-    """A watertight mesh of a wide vehicle; arguments and frame as of `solid.build_mesh`.
+    """Build a watertight mesh of a wide vehicle; arguments and frame as in `solid.build_mesh`.
 
-    faces: where given, the mesh is simplified to about this many triangles (10,000 look the same in a scan).
+    faces: if given, the mesh is simplified to about this many triangles (10,000 look the same in a scan).
 
-    Its box has the spec's size_m. Bars and tubes thinner than the grid shows are drawn 1.5 steps thick.
+    The mesh's box has the spec's size_m. Bars and tubes too thin for the grid are drawn 1.5 steps thick.
     Raises: InputError for a spec that cannot be built.
     """
     field = wide_field(spec, resolution_m)
@@ -245,7 +244,7 @@ def build_wide_mesh(spec: WideSpec, resolution_m: float = 0.025, faces: int | No
 
 
 def wide_field(spec: WideSpec, resolution_m: float) -> NDArray[np.float32]:
-    """A wide vehicle on a grid (A, B, C) of one spacing that holds it: negative inside, about metres.
+    """Build a wide vehicle on an equally spaced grid (A, B, C) that contains it: negative inside, about metres.
 
     Raises: InputError for a spec that cannot be built.
     """

@@ -1,4 +1,4 @@
-"""Damage: dents beaten into a body, and panels that are gone."""
+"""Damage: dents in a body, and missing panels."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _whole(car: VehicleSpec) -> Bounds:
 
 @dataclass(frozen=True)
 class Dents:
-    """Round dents: centre of the ball that beat each one (x, y, z in the vehicle's frame) and its radius, metres."""
+    """Round dents: centre (x, y, z in the vehicle's frame) and radius, metres, of the ball that cuts each dent."""
 
     balls: tuple[tuple[float, float, float, float], ...]
 
@@ -38,7 +38,7 @@ class Dents:
 
 @dataclass(frozen=True)
 class MissingPanels:
-    """Panels of PANELS that are gone, so that what lies behind shows: engine bay, cabin, wheel, crash beam."""
+    """Missing panels (of PANELS), which expose engine bay, cabin, wheel or crash beam."""
 
     panels: tuple[str, ...]
 
@@ -52,7 +52,7 @@ class MissingPanels:
 
 
 def panel_holes(car: VehicleSpec, panel: str) -> list[Bounds]:
-    """The boxes of air where a panel was."""
+    """Return the boxes of air in place of a panel."""
     half, sill = car.width_m / 2, car.clearance_m + 0.14
     if panel == "hood":
         inner = half - 0.24

@@ -1,4 +1,4 @@
-"""What a part of a wide vehicle is, and where on the vehicle parts stand."""
+"""Interface of the parts of wide vehicles, and reference points for their placement."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from shift3d.vehicles.family.spec import VehicleSpec
 
 
 class Part(Protocol):
-    """Something that is added to a vehicle or taken out of it; lengths in metres, frame as in `solid`."""
+    """Part that is added to a vehicle or cut out of it; lengths in metres, frame as in `solid`."""
 
     def bounds(self, car: VehicleSpec) -> Bounds:
-        """Low and high corner of what it adds; within the car where it only takes away."""
+        """Return low and high corner of the added solid; for a cut, a box within the car."""
         ...
 
     def apply(self, grid: Grid, car: VehicleSpec, field: NDArray[np.float32]) -> None:
@@ -26,23 +26,23 @@ class Part(Protocol):
 
 
 def x_of(car: VehicleSpec, s_m: float) -> float:
-    """x of a place s metres behind the nose."""
+    """Return x of a place s metres behind the nose."""
     return car.length_m / 2 - s_m
 
 
 def roof_z_m(car: VehicleSpec, s_m: float) -> float:
-    """Height of the roof at s, held at its ends beyond them."""
+    """Return the roof's height at s; before and behind the roof, the height of its end."""
     roof = profiles.glasshouse(car)[2:5]
     return float(np.interp(s_m, [s for s, _ in roof], [z for _, z in roof]))
 
 
 def roof_half_m(car: VehicleSpec) -> float:
-    """Half width of the roof."""
+    """Return the half width of the roof."""
     return float(profiles.glasshouse_half_width(car, np.array([car.height_m], np.float32))[0])
 
 
 def side_half_m(car: VehicleSpec, z_m: float) -> float:
-    """Half width of the body at a height, half way along the vehicle."""
+    """Return the half width of the body at height z, half way along the vehicle."""
     z = np.array([z_m], np.float32)
     if z_m > car.cowl_z_m:
         return float(profiles.glasshouse_half_width(car, z)[0])
@@ -50,5 +50,5 @@ def side_half_m(car: VehicleSpec, z_m: float) -> float:
 
 
 def highest_roof_m(car: VehicleSpec, from_s_m: float, to_s_m: float) -> float:
-    """Height of the roof where it is highest between two places."""
+    """Return the largest roof height between two places."""
     return max(roof_z_m(car, s) for s in np.linspace(from_s_m, to_s_m, 9))

@@ -1,4 +1,4 @@
-"""What stands on a roof: rails, a rack, a ladder, a box."""
+"""Roof parts: rails, rack, ladder, luggage box."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from shift3d.vehicles.family.solid import Grid, smooth_max
 from shift3d.vehicles.family.spec import VehicleSpec
 
 Array = NDArray[np.float32]
-BAR_M = 0.02
-"""Radius of rails and bars: tubes and profiles are 3 to 5 cm wide."""
-SUNK_M = 0.08  # feet go on into the roof
+BAR_M = 0.02  # radius of rails and bars: tubes and profiles are 3 to 5 cm wide
+SUNK_M = 0.08  # depth of the feet inside the roof
 
 
 def _cross_bar(grid: Grid, field: Array, bounds: Bounds, car: VehicleSpec, s_m: float, y_m: float, z_m: float) -> None:
-    """A bar across the roof at s, `y_m` to either side, and its two feet."""
+    """Add a bar across the roof at s, `y_m` to either side, with two feet."""
     x, radius = x_of(car, s_m), thick(grid, BAR_M)
     add(grid, field, bounds, rod((x, -y_m, z_m), (x, y_m, z_m), radius))
     add(grid, field, bounds, pair(rod((x, y_m, z_m), (x, y_m, roof_z_m(car, s_m) - SUNK_M), radius)))
@@ -28,7 +27,7 @@ def _cross_bar(grid: Grid, field: Array, bounds: Bounds, car: VehicleSpec, s_m: 
 
 @dataclass(frozen=True)
 class RoofRails:
-    """A rail along either edge of the roof, from s to s, `rise_m` above it."""
+    """Rail along either edge of the roof, between two s, `rise_m` above the roof."""
 
     from_s_m: float
     to_s_m: float
@@ -52,7 +51,7 @@ class RoofRails:
 
 @dataclass(frozen=True)
 class RoofRack:
-    """A tray of bars on feet: `slats` across, a rim around, `rise_m` above the roof at its middle."""
+    """Tray of bars on feet: `slats` bars across, a rim around them, `rise_m` above the roof at its middle."""
 
     from_s_m: float
     to_s_m: float
@@ -88,7 +87,7 @@ class RoofRack:
 
 @dataclass(frozen=True)
 class Ladder:
-    """A ladder along the roof on two cross bars, its middle at y."""
+    """Ladder along the roof on two cross bars, centred at y."""
 
     from_s_m: float
     to_s_m: float
@@ -120,7 +119,7 @@ class Ladder:
 
 @dataclass(frozen=True)
 class RoofBox:
-    """A luggage box on two bars: its nose tapers over `taper_m`, its middle at y."""
+    """Luggage box on two bars, centred at y; its nose tapers over `taper_m`."""
 
     from_s_m: float
     length_m: float

@@ -1,4 +1,4 @@
-"""What is at a tail: a spare wheel, bicycles, an open tailgate, a pickup's canopy or its gate let down."""
+"""Tail parts: spare wheel, bicycles, open tailgate, a pickup's canopy or lowered gate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SpareWheel:
-    """A wheel upright on the tail door."""
+    """Upright wheel on the tail door."""
 
     radius_m: float
     wheel_width_m: float
@@ -41,7 +41,7 @@ class SpareWheel:
 
 @dataclass(frozen=True)
 class Bicycles:
-    """Bicycles across the tail on a carrier: wheels of a radius, `base_m` apart, the first `gap_m` behind the tail."""
+    """Bicycles across the tail on a carrier: wheelbase `base_m`, the first bicycle `gap_m` behind the tail."""
 
     count: int
     gap_m: float
@@ -70,7 +70,7 @@ class Bicycles:
             self._bicycle(grid, field, bounds, self._x(car, number), 1.0 if number % 2 else -1.0)
 
     def _bicycle(self, grid: Grid, field: Array, bounds: Bounds, x: float, ahead: float) -> None:
-        """One bicycle, its front wheel towards y = ahead; fork and stays lie in the wheels' plane and hold them."""
+        """Add one bicycle, front wheel towards y = ahead; fork and stays lie in the wheels' plane and hold them."""
         tube, r, half = thick(grid, TUBE_M), self.wheel_radius_m, self.base_m / 2
         hub = self.rail_z_m + TYRE_M + r
         rear, front = (x, self.y_m - ahead * half, hub), (x, self.y_m + ahead * half, hub)
@@ -95,14 +95,14 @@ class Bicycles:
 
 
 TUBE_M, TYRE_M, SPOKE_M = 0.02, 0.025, 0.008
-"""Radii of a frame's tubes, of tyres, and of a third of a wheel's spokes drawn as one."""
+"""Radii of frame tubes, of tyres, and of one rod that stands for a third of a wheel's spokes."""
 GRIP_M, HANDLEBAR_M = 0.16, 0.72
-"""Half a handlebar, turned to lie along the frame as carried; its height above the hubs' radius over the rail."""
+"""Half length of a handlebar, turned along the frame for transport; its height above rail plus wheel radius."""
 
 
 @dataclass(frozen=True)
 class OpenTailgate:
-    """A gate hinged at the end of the roof and swung up, and the luggage space behind it, open."""
+    """Gate hinged at the end of the roof and swung up, with the open luggage space behind it."""
 
     gate_m: float
     up_rad: float
@@ -138,13 +138,12 @@ class OpenTailgate:
         add(grid, field, ((bx, by, z - 0.3), (tx, ty, tz)), block(low, high, 0.03, -self.up_rad), 0.04)
 
 
-GATE_M = 0.09
-"""Thickness of a gate."""
+GATE_M = 0.09  # thickness of a gate
 
 
 @dataclass(frozen=True)
 class LetDownGate:
-    """A pickup's gate let down level with the floor of its bed."""
+    """Pickup's gate, lowered to the level of the bed's floor."""
 
     gate_m: float
 
@@ -166,7 +165,7 @@ class LetDownGate:
 
 @dataclass(frozen=True)
 class Canopy:
-    """A hard top over a pickup's bed, `below_roof_m` lower than the cab, its tail leaning forward."""
+    """Hard top over a pickup's bed, `below_roof_m` lower than the cab; its tail leans forward."""
 
     below_roof_m: float
     lean_m: float
