@@ -1,4 +1,4 @@
-"""``shift3d rules``: what the objects share that the detector misses."""
+"""``shift3d rules``: find properties that objects missed by the detector share."""
 
 from __future__ import annotations
 
