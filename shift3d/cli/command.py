@@ -158,7 +158,7 @@ def local_path(text: str, key: str = "out") -> Path:
 
 
 def writable_folder(text: str, key: str = "out") -> Path:
-    """Return a command's output folder, checked for write access. key: key of the word. Raises: InputError: no access."""
+    """Return an output folder, checked for write access. key: key of the word. Raises: InputError: not writable."""
     from shift3d.store.atomic import check_writable
 
     folder = local_path(text, key)
