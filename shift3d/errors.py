@@ -13,10 +13,7 @@ class InputError(Exception):
     The command line prints the error as one line, ``where: what. remedy``, with a non-zero exit code and without a
     traceback. Any other exception that reaches the user is a defect of shift3d.
 
-    Args:
-        what: the problem, with the offending value.
-        where: file, field or row that holds the problem.
-        remedy: the user's next action.
+    what: the problem, with the offending value. where: file, field or row of the problem. remedy: the next action.
     """
 
     exit_code = ExitCode.UNUSABLE

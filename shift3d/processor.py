@@ -25,9 +25,9 @@ def configure_runtime(threads: int = 1) -> None:
     oneDNN's default caches code for 1,024 matrix products, up to a megabyte each: a worker grew to 2.5 GB over fifty
     shape attacks. With 256, six attacks take as long (103 s, default 104 s) and 0.5 GB less; with 128 they take 107 s.
 
-    Tensors of at least 2 MB request memory pages of 2 MB from Linux. An attack step allocates and frees hundreds of
-    megabytes, and each page of 4 kB costs a page fault, which takes microseconds in a virtual machine. Four tasks took
-    28.1 s and 1.16 GB with large pages, 29.4 s and 1.26 GB without.
+    Tensors of at least 2 MB request pages of 2 MB from Linux. An attack step allocates hundreds of megabytes, and each
+    page of 4 kB costs a page fault, which can take microseconds in a virtual machine. Four tasks took 28.1 s and
+    1.16 GB with large pages, 29.4 s and 1.26 GB without.
 
     Environment variables that already set the caches or pages keep their values. The number of threads is replaced.
     """
@@ -83,8 +83,7 @@ def pad_to_bucket(rows: int) -> int:
 
     oneDNN generates code for every new number of rows, in half a millisecond and up to half a megabyte per product: as
     long as a product of 300 rows by 512 x 512. The number of remaining beams changes in every iteration of the root
-    search, and code generation took 7 % of a short attack. Up to 256 rows an octave has two bucket sizes; from there on
-    bucket sizes are multiples of 128.
+    search: code generation took 7 % of a short attack. Up to 256 rows an octave has two sizes, then multiples of 128.
     """
     if rows <= 16:
         return 16 if rows else 0

@@ -16,8 +16,7 @@ _taken = 0
 def taken_signals() -> int:
     """Count the signals that handlers of `stop_signals` received in this process.
 
-    Work may finish normally after a stop signal. A caller compares this count before and after the work to decide
-    whether to start the next work.
+    Work may finish normally after a stop signal. A caller that sees a larger count than before starts no further work.
     """
     return _taken
 

@@ -54,8 +54,7 @@ def attack_step(
         incremental: incremental inference that has processed the previous rendering, as in an attack.
         at_points: (N, 3) replaces the detector's gradient at the points; the backward pass is then the renderer's only.
 
-    The backward pass has two parts, first down to the points, so that the detector's part is timed; the gradient is the
-    same.
+    The backward pass stops at the points to time the detector's part. The gradient is the same as in one pass.
     """
     code = code.detach().clone().requires_grad_(of_code)
     theta = theta.detach().clone().requires_grad_(of_pose)

@@ -34,10 +34,9 @@ Outcome = dict[str, Any]
 
 @dataclass(frozen=True)
 class _Prepared:
-    """Inputs for renderings of one shape of the case with one setting.
+    """Inputs to render one shape of the case with one setting.
 
-    before: of a warm setting, the previous rendering and its pose (6,). incremental: the detector's incremental
-    inference.
+    before: previous rendering of a warm setting, and its pose (6,). incremental: incremental inference of the detector.
     """
 
     problem: AttackProblem
@@ -54,9 +53,8 @@ class _Prepared:
 class CaseInstrument:
     """Measurement of settings on one case.
 
-    truth: ground truth of the case. exact: the preset that made the truth; its field gives the residual |g|.
-    warm_steps: consecutive renderings before the measured warm one. slow_s: a setting with a slower rendering is
-    rendered only once.
+    truth: ground truth of the case. exact: preset that made the truth; its field gives the residual |g|. warm_steps:
+    consecutive renderings before the measured warm one. slow_s: a setting with a slower rendering is rendered once.
     """
 
     case: Case
@@ -126,10 +124,9 @@ class CaseInstrument:
         return self._prepared[key]
 
     def _approach(self, setting: Setting, problem: AttackProblem) -> tuple[Rendering, Tensor]:
-        """Render the attack steps that lead to the measured rendering; return the last rendering and its pose.
+        """Render the attack steps that lead to the measured rendering; return the last of them and its pose.
 
-        Consecutive renderings are one attack step apart along the reference gradient; the last step ends at the start
-        code and pose.
+        The renderings are one attack step apart along the reference gradient; one more step gives the measured one.
         """
         warm: WarmStart | None = None
         for back in range(self.warm_steps, 0, -1):

@@ -68,7 +68,7 @@ def dominators(
     grid: npt.ArrayLike | None = None,
     gradient: Sequence[str] | None = None,
 ) -> npt.NDArray[np.int64]:
-    """Find for each row the row that dominates it; -1 for rows on the Pareto front.
+    """Find for each row the number of the row that dominates it, (N,) int64; -1 for rows on the Pareto front.
 
     Row A dominates row B if A takes no more time, has no larger error, and is better in at least one of the two. Rows
     equal in both do not dominate each other, so both can be on the front. Of several dominating rows the result is the
@@ -81,8 +81,6 @@ def dominators(
         grid: (N,) bool, likewise for rows that need an SDF grid of the shape.
         gradient: (N,) variable that a row prepares the gradient for; "no": none. Only rows with the same variable can
             dominate a row with a variable. None: all "no".
-
-    Returns: (N,) int64 row numbers.
 
     Raises: ValueError: a time or an error is not finite, or the lengths differ.
     """
@@ -121,8 +119,7 @@ def dominators_of(columns: Mapping[str, Any]) -> npt.NDArray[np.int64]:
 def pareto_flags(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
     """Compute the frontier's column `pareto`: True for rows that no other row of the same scene set dominates.
 
-    rows: rows of the frontier with setting, scenes, ms_median and the columns of ``effective_error_m``; grid and
-    gradient are optional.
+    rows: with setting, scenes, ms_median and the columns of ``effective_error_m``; start, grid, gradient are optional.
     """
     flags = np.zeros(len(rows), dtype=bool)
     for scenes in {row["scenes"] for row in rows}:
@@ -147,13 +144,10 @@ def knee(time: npt.ArrayLike, error: npt.ArrayLike) -> int | None:
     """Find the knee of a front: the point farthest below the line between the front's ends, both axes logarithmic.
 
     Faster points lose much accuracy; slower points cost much time for little accuracy. The front's ends are scaled to
-    distance one on either axis, so that units do not matter. An error of zero is placed as in the diagram, see
-    ``drawable``.
+    distance one on either axis, so that units do not matter. ``drawable`` places errors of zero.
 
-    time, error: (N,) of a front, in any order; times are positive.
-
-    Returns: the point's number, the fastest of equally far points; None with fewer than three points, or if no point is
-    below the line.
+    time, error: (N,) of a front, in any order; times are positive. Returns the point's number, the fastest of equally
+    far points; None with fewer than three points, equal ends, or no point below the line.
     """
     times, errors = _floats(time), drawable(error, 1.0)
     order = np.argsort(times, kind="stable")

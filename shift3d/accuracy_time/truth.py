@@ -40,8 +40,7 @@ class Truth:
     """Ground truth of one case; dictionaries by shape.
 
     codes: (d,) float64 latent codes. hits: first hits and their chords. scores: final scores of the float64 detector.
-    unresolved: number of beams that the reference could not decide. dz: (d,) and dtheta: (6,) float64 gradient at the
-    shape "start".
+    unresolved: number of beams that the reference could not decide. dz: (d,), dtheta: (6,) float64 gradient at "start".
     """
 
     codes: dict[str, Tensor]

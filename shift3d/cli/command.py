@@ -59,10 +59,7 @@ def run_command(command: Command, words: Sequence[str]) -> int:
 
 
 def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[str], where: str) -> dict[str, str]:
-    """Parse ``key=value`` words.
-
-    Raises: InputError: a word without '=', an unknown or repeated key, an empty value, or a missing required key.
-    """
+    """Parse ``key=value`` words. Raises: InputError: no '=', unknown or repeated key, empty value, or missing key."""
     values: dict[str, str] = {}
     usage = "Give " + " ".join(f"{key}=..." for key in required)
     for word in words:

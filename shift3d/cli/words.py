@@ -73,10 +73,7 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
 
 
 def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
-    """Compose the runner from conf/ and overrides, for a command on a finished sweep.
-
-    Raises: InputError: an override of anything but the runner; the sweep's other settings are fixed.
-    """
+    """Compose the runner from conf/ and overrides, for a follow-up command. Raises: InputError: any other override."""
     from shift3d.settings.compose import compose_sweep
     from shift3d.settings.expand import expand
 

@@ -107,8 +107,8 @@ def validate_frontier(values: Values, where: str) -> FrontierSweep:
 def expand_settings(config: FrontierConfig) -> list[tuple[MeasuredSetting, AccuracyConfig]]:
     """Expand ``over`` to single settings; return each with its accuracy, in the file's order.
 
-    Raises: InputError: a duplicate name, an unknown or invalid override of the renderer, a name without "{}" for its
-    value, or an unknown name in ``quick``.
+    Raises: InputError: a duplicate name, an invalid override of the renderer, a name without "{}", or an unknown name
+    in ``quick``.
     """
     where, found = "frontier.settings", []
     for setting in config.settings:

@@ -52,11 +52,11 @@ def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) ->
 
     An override with several values (``vehicle=coupe,suv``) is an axis and replaces the sweep file's axis of the same
     key; axes keep Hydra's multirun order. ``size=small`` inserts the overrides that the sweep file lists under
-    ``small``; the given overrides follow and win. own: True: a sweep file in the current folder wins over the shipped
-    one. False: use the shipped file, as for commands whose sweep the user did not name.
+    ``small``; the given overrides follow and win. own: a sweep file in the current folder wins over the shipped file;
+    False: use the shipped file, as for commands whose sweep the user did not name.
 
-    Raises: InputError: unknown sweep, group, option or setting; an unreadable or empty override; a continuous or
-    shuffled axis; ``size=small`` of a sweep without a small size.
+    Raises: InputError: unknown sweep, group, option or setting; unreadable or empty override; continuous or shuffled
+    axis; no small size.
     """
     where = f"sweep {name}"
     sweeps = files("sweeps") if own else {name: shipped("sweeps") / f"{name}.yaml"}

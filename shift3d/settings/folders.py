@@ -1,8 +1,7 @@
-"""Search folders for sweeps, configuration and launch specs: the current folder first, then the shipped files.
+"""Folders of sweeps, configuration and launch specs: those of the current folder, then the shipped ones.
 
 ``sweeps/``, ``conf/`` and ``jobs/`` are top-level folders of a checkout; a wheel contains them inside the package (see
-setup.py). A user's files are in folders of the same names in the current folder. A file there replaces the shipped file
-of the same name.
+setup.py). A file in a folder of these names in the current folder replaces the shipped file of the same name.
 """
 
 from __future__ import annotations

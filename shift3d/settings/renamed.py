@@ -48,10 +48,7 @@ def renamed_error(key: str, value: Any = None) -> InputError | None:
 
 
 def current_settings(values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Rename a task's renderer settings, stored by any version of the program, to the valid names.
-
-    Raises: InputError: a removed solver.
-    """
+    """Convert stored renderer settings of any version to the valid names. Raises: InputError: a removed solver."""
     found = {
         _NAMES.get(_RENDER + name, _RENDER + name).removeprefix(_RENDER): value
         for name, value in values.items()

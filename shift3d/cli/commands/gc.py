@@ -34,10 +34,7 @@ def dry_run(done: str, do: str) -> Callable[[argparse.ArgumentParser], object]:
 
 
 def sweeps_in(out: str) -> list[Location]:
-    """Return a sweep's folder and the folders of its verification, patterns and retrievals, which also are sweeps.
-
-    Raises: InputError: `out` is not a sweep's folder.
-    """
+    """Return a sweep's folder and those of its verification, patterns and retrievals. Raises: InputError: no sweep."""
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec
     from shift3d.sweep.retrieval import FOLDER as RETRIEVALS

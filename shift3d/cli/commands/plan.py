@@ -46,11 +46,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places: bool = False) -> int:
-    """Print the plan of a sweep of a kind of task.
+    """Print the plan of a sweep. Raises: InputError: the sweep command would refuse the words as well.
 
     sweep_words: words of the command. tasks: list every task. places: count the places of each scene.
-
-    Raises: InputError: the sweep command would refuse the words as well.
     """
     from shift3d.analysis.forecast import expected_lines
     from shift3d.analysis.mlflow.store_uri import check_tracking

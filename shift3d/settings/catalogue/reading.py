@@ -70,9 +70,8 @@ def vehicle_source(values: Mapping[str, Any]) -> VehicleSource:
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
     """Resolve a preset and its overrides to all settings as plain values (dtypes by name).
 
-    ``detector`` is the precision of the detector in the search; all other settings belong to the renderer.
-
-    Raises: InputError: an unknown or renamed setting of the renderer, or an invalid value.
+    ``detector`` is the precision of the detector in the search; all other settings belong to the renderer. Raises:
+    InputError: an unknown or renamed setting of the renderer, or an invalid value.
     """
     from dataclasses import asdict
 
@@ -122,11 +121,9 @@ def _check_render(settings: dict[str, Any]) -> None:
 
 
 def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
-    """Load and hash the scenes, vehicles and detectors of the settings.
+    """Load and hash the scenes, vehicles and detectors. Raises: InputError: a missing file or an unreadable scene.
 
-    preview: leave out scene hashes that would need generated scenes, see `scene_entries`.
-
-    Raises: InputError: a missing file or an unreadable scene.
+    preview: leave out hashes of scenes that would have to be generated for their hash alone, see `scene_entries`.
     """
     require_score_only(config)
     scenes = scene_set(config.scenes)
@@ -212,7 +209,7 @@ def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[Sce
 
 
 class _VehicleHashes(Mapping[str, str]):
-    """Lazy mapping of vehicle name to hash: hashing a vehicle of a DeepSDF experiment needs its decoder.
+    """Lazy mapping of vehicle name to hash, because hashing a vehicle of a DeepSDF experiment decodes the vehicle.
 
     Iteration lists the source's names only. A vehicle drawn from a kind has a hash but is not listed.
     """

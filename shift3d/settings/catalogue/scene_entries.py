@@ -52,13 +52,10 @@ class SceneEntry:
 def scene_entries(
     scenes: SceneSet, preview: bool = False, skip_bad: bool | None = None
 ) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
-    """Return an entry per scene, in order. A progress bar on stderr counts the scenes to load.
+    """Return an entry per scene, in order, and the reason for each scene left out. A progress bar counts loaded scenes.
 
-    Args:
-        preview: leave ``content_hash`` empty if many scenes would have to be generated for their hash alone.
-        skip_bad: leave out unreadable scenes. None: these scenes have no such setting.
-
-    Returns: the entries, and the reason for each scene left out.
+    preview: leave ``content_hash`` empty if many scenes would have to be generated for their hash alone. skip_bad:
+    leave out unreadable scenes; None: these scenes have no such setting.
 
     Raises: InputError: a scene is unreadable; with skip_bad, all scenes are.
     """

@@ -33,8 +33,8 @@ class AttackConfig(Record):
     selection_window: number of steps before and after a step that count in the selection of the best step.
     below_ground_m, search, space, components, rate, placements, starts, random_search, naturalness: see
     `task.spec.AttackSpec`. edit: NAME:PLACE, a vehicle parameter and a place in its range, for the method ``edited``.
-    search_scenes: number of further scenes in the loss of each shape. transfer_scenes: number of yet other scenes that
-    the found shape is inserted into.
+    search_scenes: number of further scenes in each shape's loss. transfer_scenes: number of other scenes that receive
+    the found shape.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)

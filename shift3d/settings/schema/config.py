@@ -120,8 +120,7 @@ class WideReferenceConfig(_ReferenceConfig):
 
 
 class MeshReferenceConfig(_ReferenceConfig):
-    """Reference set of all meshes below a folder. forward, up: axes of the files. Give either the unit of the files or
-    length_m, from nose to tail."""
+    """Reference set of all meshes in a folder. forward, up: axes of the files. Give unit, or length_m, nose to tail."""
 
     kind: Literal["meshes"]
     folder: Text
@@ -168,7 +167,7 @@ else:
 
 
 class EffectsConfig(Record):
-    """Effects beyond the paper's sensor model, and sensor and weather values that replace those of scenes.
+    """Effects beyond the paper's sensor model, and sensor and weather values that override those of scenes.
 
     use: forced effects by name; "auto": the effects that a scene calls for; empty: the paper's sensor model.
     Other fields: see `scenes.facts.EffectSettings`. Weather applies to the whole scene.
@@ -199,7 +198,7 @@ class EffectsConfig(Record):
         return "+".join([*(["auto"] if self.auto else []), *self.forced()]) or "none"
 
     def overrides(self) -> dict[str, float]:
-        """Return the values that replace those of scenes, by name."""
+        """Return the values that override those of scenes, by name."""
         values = self.model_dump(exclude={"use"})
         return {name: float(value) for name, value in values.items() if value is not None}
 
