@@ -93,7 +93,7 @@ def pad_to_bucket(rows: int) -> int:
 
 
 def rounding() -> tuple[str | bool | int, ...]:
-    """Return the facts that decide how results round on this machine: machines may share a home folder and differ."""
+    """Return the facts that decide rounding, as part of cache keys: machines that share a home folder may differ."""
     import torch
 
     capability, threads = torch.backends.cpu.get_cpu_capability(), torch.get_num_threads()

@@ -43,7 +43,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class _Measurement:
-    """One measurement. name: key in the journal. seconds: expected time, for the progress bar. make: measures."""
+    """One measurement. name: key in the journal. seconds: expected time for the progress bar. make: runs it."""
 
     name: str
     setting: Setting

@@ -55,17 +55,17 @@ class Setting:
 
     @property
     def displaced_key(self) -> str:
-        """Key of the displaced shape's rendering and score."""
+        """Key of the displaced shape: settings with equal keys see the same shape with the same score."""
         return _digest(self.rendering_key, self.score_precision, self.crop_m is None)
 
     @property
     def step_key(self) -> str:
-        """Key of the attack step."""
+        """Key of the attack step: settings with equal keys take the same step."""
         return _digest(self.rendering_key, dict(self.accuracy), self.crop_m, self.incremental)
 
     @property
     def attack_key(self) -> str:
-        """Key of the attacks."""
+        """Key of the attacks: settings with equal keys run the same attacks."""
         return _digest(dict(self.accuracy), self.attack_steps)
 
 

@@ -1,4 +1,4 @@
-"""Launch specs of ``job=NAME``: a file of jobs/ that decides where a sweep runs, but none of its results."""
+"""Launch specs of ``job=NAME``: files of jobs/ that decide where a sweep runs, without effect on results."""
 
 from __future__ import annotations
 

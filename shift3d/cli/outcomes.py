@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def interrupted(result: SweepResult, what: str = "done", command: str = "") -> int:
-    """Print an interrupted sweep's progress and a hint to resume; return the exit code. what: verb of done tasks."""
+    """Print an interrupted sweep's progress and how to resume; return the exit code. what: as in "3 tasks verified"."""
     print(
         f"interrupted: {result.done} of {counted(result.planned, 'task')} {what}, {result.left} left", file=sys.stderr
     )

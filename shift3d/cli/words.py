@@ -65,7 +65,7 @@ def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
 
 
 def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[str]]:
-    """Split words into the folders of ``key=FOLDER`` and the other words. Raises: InputError: empty or unusable URL."""
+    """Split words into folders of ``key=FOLDER`` and other words. Raises: InputError: an empty or unusable folder."""
     from shift3d.store.resolve import as_location
 
     named, rest = take_words(key, words)

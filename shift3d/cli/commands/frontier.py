@@ -95,7 +95,10 @@ def _config(words: list[str]) -> FrontierSweep:
 
 
 def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[FrontierPlan, list[str]]:
-    """Return the plan and the settings left out for lack of bfloat16. Raises: InputError: bad pattern, no setting."""
+    """Return the plan, and the names of settings left out for lack of bfloat16 instructions.
+
+    Raises: InputError: an invalid pattern, or no setting left to measure.
+    """
     from shift3d.accuracy_time.drive import FrontierPlan
     from shift3d.accuracy_time.run import Repeats
     from shift3d.processor import has_fast_bfloat16

@@ -124,7 +124,7 @@ def scene_config(values: Mapping[str, Any]) -> SceneConfig:
 
 
 def scene_set(config: SceneConfig) -> SceneSet:
-    """Create the scene set of settings; import its reader on demand. Raises: InputError: missing, unreadable folder."""
+    """Create the scene set of settings, with lazy imports. Raises: InputError: a missing or unreadable folder."""
     if isinstance(config, StreetConfig):
         from shift3d.scenes.sets import StreetScenes
 

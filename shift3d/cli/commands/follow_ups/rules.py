@@ -1,4 +1,4 @@
-"""``shift3d rules``: find properties that objects missed by the detector share."""
+"""``shift3d rules``: find properties common to the objects that the detector misses."""
 
 from __future__ import annotations
 
