@@ -64,7 +64,7 @@ def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
     """Measure the length of each ray inside the object behind its hit, by samples every 2 mm; at most 5 cm.
 
     Args:
-        field: metric signed distance field in the object frame. Use float64: the field's precision limits the hit's.
+        field: metric signed distance field in the object frame. Use float64: a hit is only as exact as its field.
         rays: (M) beams in the object frame. hit_m: (M,) ranges of their hits.
 
     Returns: (M,) float64 metres, up to the zero of the line through the last sample inside and the next sample. A chord

@@ -45,7 +45,7 @@ def read_words(words: Sequence[str]) -> Request:
 
     reuse, rest = take_folders("reuse", words)
     for folder in reuse:
-        read_spec(folder)  # fails before the scenes are read, which may take minutes
+        read_spec(folder)  # checked before the scenes are read, which may take minutes
     job, typed = take_job(rest)
     name, overrides, out = split_words(_words_of_folder(typed))
     if job:

@@ -101,7 +101,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     if request.job and request.job.address and not arguments.task:
         return _submit(request, request.job.address, arguments.retry_quarantined)
     if request.out and not arguments.task:
-        request.out.check_writable()  # fails before the scenes are read, which may take minutes
+        request.out.check_writable()  # checked before the scenes are read, which may take minutes
     plan, config = make_plan(compose_sweep(request.name, request.overrides), kind.catalogue)
     check_tracking(config.tracking)
     folder = request.out or default_folder(plan)

@@ -98,7 +98,7 @@ class DetectorConfig(Record):
 
     @property
     def own_weights(self) -> str | None:
-        """File of the attacked detector's weights. A sweep over several detectors names each file in `other_weights`."""
+        """File of the attacked detector's weights. A sweep over several detectors gives the files in other_weights."""
         return self.weights or self.other_weights.get(self.name)
 
     def modules_by_name(self) -> dict[str, str]:

@@ -124,7 +124,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     request = read_request(arguments.words, arguments.quick)
-    out = local_path(request.out) if request.out else None  # fails before the scenes are read, which takes a minute
+    out = local_path(request.out) if request.out else None  # checked before the scenes are read, which takes a minute
     config, spec_hash = _checked(request)
     folder = out or Path(f"outputs/finetuning-{spec_hash}")
     models = _models(folder, config.detector.name, request)

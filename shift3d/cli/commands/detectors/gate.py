@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
         refuse_unknown_name(suite, releases, f"{scorer.name}:{called}")
     accept: Any = values.get("accept", "false")
     if accept != "false":
-        releases.check_writable("releases=DIR")  # fails before the scoring
+        releases.check_writable("releases=DIR")  # checked before the scoring
     settings = GateSettings(Rule(**shares), workers, against, accept, called)
     outcome = run_gate(suite, scorer, releases, as_location(out), settings)
     print(outcome.text)

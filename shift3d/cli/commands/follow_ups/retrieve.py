@@ -47,7 +47,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     folder = as_location(arguments.out)
-    sweep = solved_tasks(folder)  # fails before any work if the sweep has not finished
+    sweep = solved_tasks(folder)  # raises before any work if the sweep has not finished
     if all(group.template.mode == "pose" for group in sweep.tasks.groups()):
         what = "no task searched a shape: nothing to retrieve"
         raise InputError(what, str(folder), "Give a sweep of mode=shape or shape_pose")
