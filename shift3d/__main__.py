@@ -1,4 +1,4 @@
-"""``python -m shift3d``: the command line, where no script is installed."""
+"""Entry point of ``python -m shift3d``: the command line without an installed script."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""The one error that a user of shift3d is meant to read."""
+"""User-facing error of shift3d."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ from shift3d.exit_codes import ExitCode
 
 
 class InputError(Exception):
-    """Something the user gave cannot be used.
+    """Unusable user input: a wrong setting, file or value.
 
-    Printed by the command line as one line, ``what (where): remedy``, with a non-zero exit code and without a
-    traceback; anything else that escapes is a defect of shift3d.
+    The command line prints the error as one line, ``where: what. remedy``, with a non-zero exit code and without a
+    traceback. Any other exception that reaches the user is a defect of shift3d.
 
-    Args:
-        what: what is wrong, with the offending value.
-        where: the file, field or row it was found in.
-        remedy: what to do about it.
+    what: the problem, with the offending value. where: file, field or row of the problem. remedy: the next action.
     """
 
     exit_code = ExitCode.UNUSABLE
@@ -30,16 +27,16 @@ class InputError(Exception):
         super().__init__(_one_line(f"{message}{end} {remedy}" if remedy else message))
 
     def __reduce__(self) -> tuple[type[Self], tuple[str, str, str]]:
-        # Ray carries exceptions between processes: without this the three parts would be lost on the way.
+        # Ray pickles exceptions between processes. The default reduction would lose the three parts.
         return (type(self), (self.what, self.where, self.remedy))
 
 
 def empty_error(key: str, where: str = "") -> InputError:
-    """The error for ``key=`` with nothing after it: what an unset variable of the shell leaves of a word."""
+    """Return the error for ``key=`` without a value, as an unset shell variable leaves it."""
     remedy = f"Give {key}=..., or no {key}= at all; is a variable of the shell unset?"
     return InputError(f"{key}= is empty", where=where, remedy=remedy)
 
 
 def _one_line(text: str) -> str:
-    """The text without what breaks a line or a terminal: readers quote what they found in a damaged file."""
+    """Replace control characters by spaces: messages quote the content of damaged files, which may break a terminal."""
     return "".join(letter if letter.isprintable() else " " for letter in text)

@@ -1,4 +1,4 @@
-"""The exit codes of the commands: one list, which the code takes them from and the help shows."""
+"""Exit codes of the commands: the single list for code and help texts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["EXIT_CODES", "ExitCode", "exit_codes"]
 
 
 class ExitCode(IntEnum):
-    """What a command's exit code says; argparse has 2 for its own errors, too."""
+    """Exit code of a command. argparse also exits with 2 for its own errors."""
 
     DONE = 0
     UNUSABLE = 2
@@ -33,5 +33,5 @@ EXIT_CODES = {
 
 
 def exit_codes() -> str:
-    """All of them in one sentence."""
+    """Return one sentence that explains every exit code."""
     return "exit codes: " + "; ".join(f"{int(code)} {meaning}" for code, meaning in EXIT_CODES.items())

@@ -1,4 +1,4 @@
-"""The methods whose objects a task scores: the one list of them."""
+"""Names of the methods whose objects a task scores: the single list of methods."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ METHODS = {
     "adversarial_noise": "adversarial + noise",
     "adversarial": "adversarial",
 }
-"""By name, in the order of the paper's tables: what a reader is told."""
+"""Method name to its label in reports, in the order of the paper's tables."""
 
 METHODS_OF_MODE = {
     "shape": tuple(METHODS),
     "pose": tuple(name for name in METHODS if name not in ("edited", "adversarial_noise")),
     "shape_pose": tuple(METHODS),
 }
-"""By what is attacked: the methods that a task may score."""
+"""Attack mode to the methods that a task of this mode may score."""

@@ -1,4 +1,4 @@
-"""What the processor does well, for choices that change time and not results that are compared."""
+"""Processor features and runtime settings, for choices that change run time but no compared result."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pathlib import Path
 __all__ = ["configure_runtime", "has_fast_bfloat16", "has_wide_float32", "pad_to_bucket", "rounding", "usable_cpus"]
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-# oneDNN's own products, and what torch keeps of how each is to be made; and large pages for large tensors.
+# Capacities of the primitive caches of oneDNN and torch; large memory pages for large tensors.
 _SETTINGS = {"ONEDNN_PRIMITIVE_CACHE_CAPACITY": "256", "LRU_CACHE_CAPACITY": "256", "THP_MEM_ALLOC_ENABLE": "1"}
 
 
 def configure_runtime(threads: int = 1) -> None:
-    """Fix what this process computes with, before it computes: threads, how much made code it keeps, and its pages.
+    """Set the number of threads, the oneDNN cache capacity and the page size of this process, before it computes.
 
-    The order of sums, so the bytes, depend on the number of threads.
+    The number of threads decides the order of floating-point sums and therefore the bytes of results.
 
-    oneDNN keeps code and plans for 1,024 products unless told otherwise, up to a megabyte each: a worker had grown to
-    2.5 GB after fifty shape attacks. With 256 six of them take as long (103 s for 104) and 0.5 GB less, with 128 107 s.
+    oneDNN's default caches code for 1,024 matrix products, up to a megabyte each: a worker grew to 2.5 GB over fifty
+    shape attacks. With 256, six attacks take as long (103 s, default 104 s) and 0.5 GB less; with 128 they take 107 s.
 
-    Tensors of 2 MB and more ask Linux for pages of that size. A step makes and drops hundreds of megabytes, and in
-    pages of 4 kB each has to be fetched from the kernel, which in a virtual machine can take microseconds: four tasks
-    took 28.1 s for 29.4, at 1.16 GB for 1.26.
+    Tensors of at least 2 MB request pages of 2 MB from Linux. An attack step allocates hundreds of megabytes, and each
+    page of 4 kB costs a page fault, which can take microseconds in a virtual machine. Four tasks took 28.1 s and
+    1.16 GB with large pages, 29.4 s and 1.26 GB without.
 
-    What the environment says of these is left as it is; the number of threads is replaced.
+    Environment variables that already set the caches or pages keep their values. The number of threads is replaced.
     """
     for name in _THREADS:
         os.environ[name] = str(threads)
@@ -40,7 +40,7 @@ def configure_runtime(threads: int = 1) -> None:
 
 
 def usable_cpus(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
-    """CPUs that this process may use: those of its affinity, at most the CPU quota of its control group, rounded up."""
+    """Count the CPUs in this process's affinity mask, limited to the CPU quota of its control group, rounded up."""
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for names in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):  # versions 2 and 1
         with contextlib.suppress(OSError, ValueError):  # there is no such file, or it says "max"
@@ -52,10 +52,10 @@ def usable_cpus(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
 
 @functools.cache
 def has_fast_bfloat16() -> bool:
-    """Whether this processor multiplies bfloat16 matrices with instructions of its own.
+    """True if this processor has instructions for products of bfloat16 matrices.
 
-    Where it has none they are emulated, some sixty times slower than float32 (measured: 1.2 against 70 GFLOP/s on
-    one core with AVX2 alone), so that every use of bfloat16 on CPU asks here first.
+    Emulated bfloat16 is about sixty times slower than float32 (measured: 1.2 against 70 GFLOP/s on one core with AVX2
+    alone). Code checks this before every use of bfloat16 on a CPU.
     """
     import torch
 
@@ -64,11 +64,11 @@ def has_fast_bfloat16() -> bool:
 
 @functools.cache
 def has_wide_float32() -> bool:
-    """Whether oneDNN is to be asked for float32 products of matrices, in place of torch's default.
+    """True if oneDNN computes float32 matrix products faster than MKL, torch's default.
 
-    torch leaves them to MKL, which uses half the width of AVX-512 on processors that are not Intel's: 90 against 200
-    GFLOP/s on one core (AMD, 600 rows by 512 x 512). On Intel's both use the whole width, and MKL starts faster: 8 rows
-    by 352 x 352 take 0.05 ms for 0.09, 64 rows 0.14 for 0.17, 500 rows the same.
+    On processors of other vendors than Intel, MKL uses half the width of AVX-512: 90 GFLOP/s, oneDNN 200 GFLOP/s (one
+    core, AMD, 600 rows by 512 x 512). On Intel processors both use the full width, and MKL starts faster: 8 rows by
+    352 x 352 take 0.05 ms with MKL and 0.09 ms with oneDNN, 64 rows 0.14 and 0.17 ms, 500 rows the same.
     """
     import torch
 
@@ -79,12 +79,11 @@ def has_wide_float32() -> bool:
 
 
 def pad_to_bucket(rows: int) -> int:
-    """The next number of rows, from this one up, that comes round again: for products that oneDNN takes.
+    """Round a number of rows up to a bucket size, so that oneDNN reuses its generated code.
 
-    It makes code for every number of rows that it meets, at half a millisecond and up to half a megabyte a product: as
-    long as a product of 300 rows by 512 x 512 takes. A search evaluates what is left of its beams, another number each
-    time, and of the time of a short attack 7 % went there. Two numbers an octave are soon all known; from 256 rows on,
-    multiples of 128.
+    oneDNN generates code for every new number of rows, in half a millisecond and up to half a megabyte per product: as
+    long as a product of 300 rows by 512 x 512. The number of remaining beams changes in every iteration of the root
+    search: code generation took 7 % of a short attack. Up to 256 rows an octave has two sizes, then multiples of 128.
     """
     if rows <= 16:
         return 16 if rows else 0
@@ -94,7 +93,7 @@ def pad_to_bucket(rows: int) -> int:
 
 
 def rounding() -> tuple[str | bool | int, ...]:
-    """What decides how results round here: machines that share a home folder may differ in it."""
+    """Return the facts that decide rounding, as part of cache keys: machines that share a home folder may differ."""
     import torch
 
     capability, threads = torch.backends.cpu.get_cpu_capability(), torch.get_num_threads()

@@ -1,4 +1,4 @@
-"""The progress bar of every long command."""
+"""Progress bar of every long command."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def progress_bar(work: Iterable[Any] | None = None, slow_s: float = 15.0, **settings: Any) -> tqdm[Any]:
-    """A bar on stderr; where that is no terminal, a line every `slow_s` seconds. settings: of tqdm."""
+    """Show progress on stderr: a bar in a terminal, else a line every `slow_s` seconds. settings: arguments of tqdm."""
     from tqdm import tqdm
 
     terminal = sys.stderr.isatty()
@@ -20,7 +20,7 @@ def progress_bar(work: Iterable[Any] | None = None, slow_s: float = 15.0, **sett
 
 
 def write_line(text: str) -> None:
-    """A line on stderr, above the bars that are there."""
+    """Print a line on stderr above the open progress bars."""
     from tqdm import tqdm
 
     tqdm.write(text, file=sys.stderr)

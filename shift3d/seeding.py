@@ -1,4 +1,4 @@
-"""Seeds that depend on names, never on the order or the process in which something runs."""
+"""Seeds derived from names, independent of the order of tasks and of processes."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 
 def derive_seed(*parts: str | int) -> int:
-    """A 64-bit seed from a path of names and numbers.
+    """Derive a 64-bit seed from a sequence of names and numbers.
 
-    Each part is length-prefixed before hashing, so that ``("ab", "c")`` and ``("a", "bc")`` differ.
+    A length prefix of each part makes ``("ab", "c")`` and ``("a", "bc")`` differ.
 
     Source: our choice (design section 9: the seed of a task comes from its id).
     """
@@ -22,5 +22,5 @@ def derive_seed(*parts: str | int) -> int:
 
 
 def generator(*parts: str | int) -> np.random.Generator:
-    """A NumPy generator seeded by :func:`derive_seed` of the same parts."""
+    """Create a NumPy generator seeded by :func:`derive_seed` of the same parts."""
     return np.random.Generator(np.random.PCG64(derive_seed(*parts)))

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM handed to a handler for a while, so that long work can end between two steps."""
+"""Temporary handlers of SIGINT and SIGTERM, so that long work can stop between two steps."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ _taken = 0
 
 
 def taken_signals() -> int:
-    """How many signals handlers of `stop_signals` have taken in this process.
+    """Count the signals that handlers of `stop_signals` received in this process.
 
-    Work that was asked to stop may have come to its end: what would follow it asks here whether it is still wanted.
+    Work may finish normally after a stop signal. A caller that sees a larger count than before starts no further work.
     """
     return _taken
 
 
 @contextlib.contextmanager
 def stop_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Both signals go to the handler while this is open; the handlers before it come back afterwards.
+    """Send SIGINT and SIGTERM to `handler` inside the context, and restore the previous handlers afterwards.
 
-    In a thread other than the main one signals stay as they are, as Python allows nothing else.
+    Outside the main thread this changes nothing: Python sets signal handlers in the main thread only.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

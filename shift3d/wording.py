@@ -1,4 +1,4 @@
-"""Words of messages."""
+"""Wording of numbers and durations in messages."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ __all__ = ["counted", "duration"]
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:
-    """``1 task``, ``2 tasks``. plural: of nouns whose plural is not made by an s."""
+    """Format a count, as ``1 task`` or ``2 tasks``. plural: for nouns whose plural does not end in a plain s."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
 
 def duration(seconds: float) -> str:
-    """``340 ms``, ``5.2 s``, ``12 min``, ``3.5 h``, ``4 days``: three digits, in the largest unit that fits twice."""
+    """Format a duration with three digits in the largest unit that fits twice: ``340 ms``, ``12 min``, ``4 days``."""
     for size, name in ((86_400, "days"), (3_600, "h"), (60, "min")):
         if seconds >= 2 * size:
             return f"{seconds / size:.3g} {name}"

@@ -1,1 +1,1 @@
-"""What accuracy costs in time: every setting's errors against the reference, and its milliseconds beside them."""
+"""Accuracy against run time: errors of each renderer setting relative to the reference, and its milliseconds."""

@@ -1,4 +1,4 @@
-"""The objects that settings are measured on: a vehicle at a distance in a scene, as a task would set it up."""
+"""Measured cases: a vehicle at a distance in a scene, set up as in a task."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from shift3d.task.spec import TaskSpec
 class Case:
     """One vehicle at one place.
 
-    scenes: which set it is from, as the table names it. spec: of a shape task there; its accuracy is not used.
-    theta: (6,) float64 pose, scene frame. beams: in the scene. range_m: horizontal distance from the sensor.
+    scenes: name of the scene set in the table. spec: spec of a shape task for this case; its accuracy is not used.
+    theta: (6,) float64 pose, scene frame. beams: number of beams of the scene.
     """
 
     scenes: str
@@ -40,16 +40,15 @@ class Case:
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Readable name."""
         return f"{self.spec.vehicle} at {self.range_m:.1f} m in {self.spec.scene}"
 
 
 def place_case(scenes: str, number: int, spec: TaskSpec, assets: Assets) -> Case:
-    """The vehicle of `spec` at the distances of its placement, in the first scene with room for it.
+    """Place the vehicle of `spec` within its placement's distances, in the first scene with room for it.
 
-    number: of the case; scenes are tried from that one on, so that cases differ in their scene where they can.
-
-    Raises: InputError: no scene has room there.
+    number: number of the case. The search starts at the scene of this number, so that cases use different scenes if
+    possible. Raises: InputError: no scene has room at these distances.
     """
     names = assets.scenes.names()
     for name in names[number % len(names) :] + names[: number % len(names)]:
@@ -66,9 +65,9 @@ def place_case(scenes: str, number: int, spec: TaskSpec, assets: Assets) -> Case
 def problem_of(
     case: Case, assets: Assets, accuracy: Mapping[str, Any], code: Tensor | None = None, grid: bool = False
 ) -> AttackProblem:
-    """The attack on a case as a task of this accuracy sets it up, the detector at the precision of the search.
+    """Set up the attack on a case as a task of this accuracy does, with the detector in the precision of the search.
 
-    code: (d,) that stands for the vehicle's own. grid: with an SDF grid of that code, if the accuracy uses one.
+    code: (d,) replaces the vehicle's latent code. grid: add an SDF grid of the code if the accuracy uses one.
     """
     settings = dict(accuracy) if grid else {**accuracy, "sdf_grid": False}
     spec = dataclasses.replace(case.spec, accuracy_settings=settings)

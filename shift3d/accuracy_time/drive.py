@@ -1,4 +1,4 @@
-"""Scene sets and cases to a measured frontier: places, truths and journals in one folder."""
+"""Driver of the frontier: places the cases, makes their ground truth, and measures them into one folder."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
 
 _TRUTH_SECONDS = 25.0
-# What the numbers depend on; what only reads settings, keeps or presents them is left out.
+# Code that the measured numbers depend on. Code that only reads settings, or stores or presents numbers, is left out.
 _CODE = (
     *("accuracy_time", "attack", "detectors", "geometry", "placement", "processor.py", "render", "scenes", "sdf"),
     *("task", "vehicles"),
@@ -37,8 +37,8 @@ _CODE = (
 
 @dataclass(frozen=True)
 class SceneGroup:
-    """Scenes of one set. name: as the table has it. assets: what is loaded for them. spec: a shape task there, whose
-    vehicle, scene and distances each case replaces."""
+    """Scenes of one set. name: name in the table. assets: inputs to load. spec: shape task whose vehicle, scene and
+    distances each case replaces."""
 
     name: str
     assets: AssetsSpec
@@ -47,12 +47,12 @@ class SceneGroup:
 
 @dataclass(frozen=True)
 class FrontierPlan:
-    """What is measured.
+    """Plan of the measurements.
 
-    settings: rows. cases: (vehicle, distance in metres) in every group. reference: the truth's, with a window of the
-    detector that is wider than that of any setting but the whole scene's. search, descent_steps: of the attack that
-    displaces the shape. within_m: how far from its distance a vehicle may stand. warm_steps: renderings in a row
-    before a warm one is looked at.
+    settings: rows of the table. cases: (vehicle, distance in metres) in every group. reference: setting of the ground
+    truth; its detector window is wider than that of any setting, whole scenes excepted. search, descent_steps: setting
+    and length of the attack that displaces the shape. within_m: tolerance of a vehicle's distance. warm_steps:
+    consecutive renderings before a warm rendering is measured.
     """
 
     settings: tuple[Setting, ...]
@@ -65,7 +65,7 @@ class FrontierPlan:
     within_m: float
 
     def expected_seconds(self, groups: int) -> float:
-        """About how long it takes on a core without bfloat16, for the progress bar."""
+        """Estimate the run time on a core without bfloat16, for the progress bar."""
         number = len(self.cases) * groups
         return expected_seconds(self.settings, number) + number * _TRUTH_SECONDS
 
@@ -73,14 +73,13 @@ class FrontierPlan:
 def measure_frontier(
     groups: Sequence[SceneGroup], plan: FrontierPlan, folder: Path, again: bool, tell: Tell
 ) -> list[MeasuredCase]:
-    """Measure every setting on every case, but for what the folder already holds of them.
+    """Measure every setting on every case, except measurements that the folder already holds.
 
     Args:
-        folder: gets a folder ``measured/`` with a truth and a journal a case, by the hash of all that they depend on.
-        again: forget what was measured. Truths are kept.
+        folder: output folder. ``measured/`` holds a truth and a journal per case, named by a hash of all dependencies.
+        again: delete earlier measurements, but not the truths.
 
-    Raises: InputError: assets that are missing or a case without a place, before anything is measured; a disk that is
-    full.
+    Raises: InputError: missing assets or a case without a place, before any measurement; a full disk.
     """
     held = [(group, load_assets(group.assets)) for group in groups]
     cases = [(group, assets, case) for group, assets in held for case in _cases(group, plan, assets)]
@@ -120,7 +119,7 @@ def _truth(path: Path, case: Case, plan: FrontierPlan, assets: Assets, tell: Tel
 
 
 def _identity(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup) -> str:
-    """Hash of everything that what was measured depends on, but for the settings, which are in the journal's names."""
+    """Hash everything that measurements of a case depend on, except the settings, which the journal's names include."""
     files, modules, layouts = group.assets.detectors, group.assets.modules, group.assets.layouts
     detectors = {name: detector_hash(name, path, modules.get(name), layouts.get(name)) for name, path in files.items()}
     vehicle = vehicle_hash(assets.vehicle(case.spec))

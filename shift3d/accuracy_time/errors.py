@@ -1,4 +1,4 @@
-"""How a rendering differs from the true one, beam by beam."""
+"""Errors of a rendering against the ground truth, beam by beam."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from shift3d.render.rendering import Rendering
 from shift3d.task.differences import WRONG_SURFACE_M
 
 THICK_M = 0.02
-"""Chords of this length and more must not be missed (the project's claim for the preset `standard`)."""
+"""The preset `standard` must not miss chords of this length or more (the project's claim)."""
 _SAMPLE_M = 0.002
 _CHORD_M = 0.05
 
 
 @dataclass(frozen=True)
 class TrueHits:
-    """First hits that count as the truth.
+    """Ground truth of first hits.
 
-    index: (M,) beams that hit, ascending. range_m: (M,) float64. chord_m: (M,) float64 length of each beam inside
-    the object behind its hit, no longer than 5 cm.
+    index: (M,) beams that hit, ascending. range_m: (M,) float64 ranges. chord_m: (M,) float64 length of each beam's
+    segment inside the object behind its hit, at most 5 cm.
     """
 
     index: Tensor
@@ -32,16 +32,17 @@ class TrueHits:
 
     @property
     def thick(self) -> Tensor:
-        """(M,) bool: chords of at least 2 cm."""
+        """Mask (M,) bool of the hits with a chord of at least 2 cm."""
         return self.chord_m >= THICK_M
 
 
 @dataclass(frozen=True)
 class RenderingErrors:
-    """Counts of beams, and the depth errors of those on the right surface.
+    """Numbers of wrong beams, and the depth errors of hits on the right surface.
 
-    hits, thick_hits: true ones, and of these with a chord of 2 cm or more. missed, missed_thick: of them not found.
-    wrong: found more than 1 cm off. false: hits where there is none. depth_m: |depth error| of the others, metres.
+    hits, thick_hits: true hits, and true hits with a chord of 2 cm or more. missed, missed_thick: true hits of either
+    kind that the rendering misses. wrong: hits more than 1 cm off the true range. false: hits of beams without a true
+    hit. depth_m: |depth error| of the remaining hits, metres.
     """
 
     hits: int
@@ -54,20 +55,20 @@ class RenderingErrors:
 
 
 def true_hits(rendering: Rendering, chord_m: Tensor) -> TrueHits:
-    """The hits of a rendering as the truth, with their chords (M,)."""
+    """Make the ground truth from the hits of a rendering and their chords (M,)."""
     index = torch.nonzero(rendering.hit_mask).squeeze(1)
     return TrueHits(index, rendering.range_m[index], chord_m)
 
 
 def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
-    """How far each ray stays inside the object behind its hit, by samples every 2 mm; at most 5 cm.
+    """Measure the length of each ray inside the object behind its hit, by samples every 2 mm; at most 5 cm.
 
     Args:
-        field: metric distance in the object frame; in float64, as a hit is only known to its precision.
-        rays: (M) beams in the object frame. hit_m: (M,) their hits.
+        field: metric signed distance field in the object frame. Use float64: a hit is only as exact as its field.
+        rays: (M) beams in the object frame. hit_m: (M,) ranges of their hits.
 
-    Returns: (M,) float64 metres: to where the line through the last sample inside and the next one crosses zero. A
-    chord shorter than 2 mm is zero unless the first sample is inside it.
+    Returns: (M,) float64 metres, up to the zero of the line through the last sample inside and the next sample. A chord
+    shorter than 2 mm is zero unless the first sample is inside the chord.
     """
     length = torch.zeros(len(rays), dtype=torch.float64)
     g_before = torch.zeros_like(length)
@@ -76,7 +77,7 @@ def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
         g = field(rays.at(hit_m[rows] + number * _SAMPLE_M, rows)).double()
         inside = g < 0
         out = rows[~inside]
-        # The share of the last step that was still inside.
+        # Share of the last step inside the object.
         share = torch.where(g_before[out] < 0, g_before[out] / (g_before[out] - g[~inside]), 0.0)
         length[out] += share * _SAMPLE_M
         rows = rows[inside]
@@ -87,7 +88,7 @@ def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
 
 
 def compare(truth: TrueHits, rendering: Rendering) -> RenderingErrors:
-    """Hold a rendering of the same beams against the truth."""
+    """Compare a rendering with the ground truth of the same beams."""
     hit, found_m = rendering.hit_mask[truth.index], rendering.range_m[truth.index]
     depth = (found_m - truth.range_m).abs()
     wrong = hit & (depth > WRONG_SURFACE_M)

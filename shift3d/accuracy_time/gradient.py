@@ -1,4 +1,4 @@
-"""The loss's gradient through renderer and detector, timed by stage, and how it compares with the reference's."""
+"""Gradient of the loss through renderer and detector, timed by stage, and its comparison with the reference."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from shift3d.render.solvers.search import WarmStart
 
 @dataclass(frozen=True)
 class AttackStep:
-    """One step of an attack: rendering, detector, constraints, and the way back.
+    """One attack step: rendering, detector, constraints, and backward pass.
 
-    dz: (d,) and dtheta: (6,) gradient of the adversarial loss, zero where none was asked for. loss: its value.
-    at_points: (N, 3) gradient at the rendered points, from which both follow; None where none reaches them.
-    render_ms, detector_ms (forward and backward), total_ms: times.
+    loss: value of the adversarial loss. dz: (d,) and dtheta: (6,) gradient of the loss, zero for a variable without a
+    gradient. at_points: (N, 3) gradient of the loss at the rendered points, from which dz and dtheta follow; None if no
+    gradient reaches the points. render_ms, detector_ms (forward and backward), total_ms: times.
     """
 
     rendering: Rendering
@@ -45,16 +45,16 @@ def attack_step(
     incremental: IncrementalInference | None = None,
     at_points: Tensor | None = None,
 ) -> AttackStep:
-    """What an attack does between two values of its variable, but for the subtraction.
+    """Compute and time one attack step, without the update of the variable.
 
     Args:
-        problem: with the detector at the precision of the search.
-        code, theta: (d,), (6,). radius_m: of the detector's window; None: the whole scene.
-        of_code, of_pose: what the gradient is taken of; an attack on the shape takes the first alone.
-        incremental: that has seen the rendering before this one, as in an attack.
-        at_points: (N, 3), in place of the detector's gradient at the points: the way back is then the renderer's alone.
+        problem: attack whose detector has the precision of the search.
+        code, theta: (d,), (6,). radius_m: radius of the detector's window; None: the whole scene.
+        of_code, of_pose: variables of the gradient; an attack on the shape needs of_code only.
+        incremental: incremental inference that has processed the previous rendering, as in an attack.
+        at_points: (N, 3) replaces the detector's gradient at the points; the backward pass is then the renderer's only.
 
-    The way back is walked in two parts, points first, so that the detector's can be timed; the gradient is the same.
+    The backward pass stops at the points to time the detector's part. The gradient is the same as in one pass.
     """
     code = code.detach().clone().requires_grad_(of_code)
     theta = theta.detach().clone().requires_grad_(of_pose)
@@ -87,7 +87,7 @@ def attack_step(
 
 
 def cosine(a: Tensor, b: Tensor) -> float:
-    """Cosine of the angle between two gradients; 1 where both are zero, 0 where one is, or is not finite."""
+    """Compute the cosine of the angle between two gradients; 1 if both are zero, 0 if one is zero or not finite."""
     a, b = a.double().flatten(), b.double().flatten()
     lengths = float(a.norm()) * float(b.norm())
     if lengths == 0:
@@ -98,7 +98,7 @@ def cosine(a: Tensor, b: Tensor) -> float:
 
 
 def norm_ratio(found: Tensor, true: Tensor) -> float:
-    """Length of a gradient over that of the true one; 1 where both are zero. A finite stand-in, 1e9, over zero."""
+    """Divide a gradient's length by the true gradient's; 1 if both are zero. At most 1e9, also over zero."""
     above, below = float(found.double().norm()), float(true.double().norm())
     if below == 0:
         return 1.0 if above == 0 else 1e9

@@ -1,4 +1,4 @@
-"""What has been measured on a case so far, on disk: an interrupted run goes on where it stopped."""
+"""Journal of a case's measurements on disk, so that an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from shift3d.store.atomic import write_atomic
 
 
 class Journal:
-    """Named values, one JSON line each, appended as they are measured.
+    """Append-only file of named values, one JSON line per measurement.
 
-    A line that a kill left torn is dropped when the journal is opened; it is what was being written, so it is
-    measured again.
+    Opening the journal drops a last line that a kill left incomplete; the run measures its value again.
     """
 
     def __init__(self, path: Path) -> None:
@@ -35,17 +34,17 @@ class Journal:
         return self._values[name]
 
     def put(self, name: str, value: Any) -> None:
-        """Keep a value of plain numbers, texts, lists and dictionaries."""
+        """Append a value of plain numbers, texts, lists and dictionaries, synchronized to disk."""
         line = json.dumps([name, value], allow_nan=False) + "\n"
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("ab") as file:
             file.write(line.encode())
             file.flush()
             os.fsync(file.fileno())
-        # As it would be read back: a run that is taken up again must not differ from one that was not.
+        # The parsed line, so that a resumed run equals an uninterrupted one.
         self._values[name] = json.loads(line)[1]
 
     def forget(self) -> None:
-        """Everything."""
+        """Delete all values and the file."""
         self._path.unlink(missing_ok=True)
         self._values.clear()

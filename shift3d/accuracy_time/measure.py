@@ -1,4 +1,4 @@
-"""One setting on one case: the rendering and its errors, an attack step and its gradient, final scores, times."""
+"""Measurement of one setting on one case: rendering errors, an attack step's gradient, final scores, and times."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ Outcome = dict[str, Any]
 
 @dataclass(frozen=True)
 class _Prepared:
-    """A setting ready to render one shape of the case: all that it may find at hand.
+    """Inputs to render one shape of the case with one setting.
 
-    before: where it is warm, the rendering that it starts from, and (6,) its pose. incremental: of its detector.
+    before: previous rendering of a warm setting, and its pose (6,). incremental: incremental inference of the detector.
     """
 
     problem: AttackProblem
@@ -45,16 +45,16 @@ class _Prepared:
 
     @property
     def warm(self) -> WarmStart | None:
-        """The state that it starts from."""
+        """Warm start from the previous rendering; None for a cold setting."""
         return None if self.before is None else self.before[0].warm
 
 
 @dataclass
 class CaseInstrument:
-    """Measures settings on one case.
+    """Measurement of settings on one case.
 
-    truth: of the case. exact: the preset that made it; its field says what |g| is. warm_steps: renderings in a row
-    before the one that is looked at. slow_s: a setting whose rendering takes longer is rendered once, and no more.
+    truth: ground truth of the case. exact: preset that made the truth; its field gives the residual |g|. warm_steps:
+    consecutive renderings before the measured warm one. slow_s: a setting with a slower rendering is rendered once.
     """
 
     case: Case
@@ -66,11 +66,11 @@ class CaseInstrument:
     _prepared: dict[tuple[str, str], _Prepared] = field(default_factory=dict)
 
     def look(self, setting: Setting) -> Outcome:
-        """First look: an attack step with its gradient, the rendering's errors, the change of the final score."""
+        """Measure once: an attack step with its gradient, the errors of the rendering, and the final score."""
         prepared = self._ready(setting, "start")
         step = self._step(setting, prepared)
         slow = step.render_ms > 1e3 * self.slow_s
-        # Without gradients a rendering may be checked more closely: its errors are those of what is timed.
+        # Without gradients the renderer may check hits more closely. The errors must be those of the timed rendering.
         rendering = step.rendering if slow or setting.variable != "no" else self._render(setting, prepared)
         gradients = [(step.dz, self.truth.dz)] if setting.variable != "pose" else []
         gradients += [(step.dtheta, self.truth.dtheta)] if setting.variable != "shape" else []
@@ -82,19 +82,19 @@ class CaseInstrument:
         }
 
     def step(self, setting: Setting) -> Outcome:
-        """One more attack step: times alone."""
+        """Time one more attack step."""
         return self._times(self._step(setting, self._ready(setting, "start")))
 
     def displaced(self, setting: Setting) -> Outcome:
-        """Errors and score of the displaced shape."""
+        """Measure the errors and the score of the displaced shape."""
         prepared = self._ready(setting, "displaced")
         return self._outcome(setting, prepared, self._render(setting, prepared), "displaced")
 
     def attack(self, setting: Setting) -> Outcome:
-        """Final scores of the best step of an attack on the shape and of one on the pose, `attack_steps` long each.
+        """Attack the shape and the pose for `attack_steps` steps each; return the final score of each best step.
 
-        Both are the attacks of a task: its lambda, step size and limits, an SDF grid if the setting uses one, and the
-        detector in the precision of the search; what they find is scored in the precision of a task's scores.
+        Both attacks are those of a task: lambda, step size, limits, an SDF grid if the setting uses one, and the
+        detector in the precision of the search. Their solutions are scored in the precision of a task's scores.
         """
         spec, steps = self.case.spec, setting.attack_steps
         problem = problem_of(self.case, self.assets, setting.accuracy, grid=True)
@@ -110,7 +110,7 @@ class CaseInstrument:
         return {"scores": [float(each.answers[detector.name].score) for each in scored]}
 
     def sample(self, setting: Setting) -> float:
-        """Milliseconds of one rendering."""
+        """Time one rendering, in milliseconds."""
         prepared = self._ready(setting, "start")
         return milliseconds(lambda: self._render(setting, prepared))
 
@@ -124,9 +124,9 @@ class CaseInstrument:
         return self._prepared[key]
 
     def _approach(self, setting: Setting, problem: AttackProblem) -> tuple[Rendering, Tensor]:
-        """Renderings that approach this one in steps of the attack: the last of them, and its pose.
+        """Render the attack steps that lead to the measured rendering; return the last of them and its pose.
 
-        Each is one step of the attack away from the next, by the reference's gradient, as if the last one had led here.
+        The renderings are one attack step apart along the reference gradient; one more step gives the measured one.
         """
         warm: WarmStart | None = None
         for back in range(self.warm_steps, 0, -1):
@@ -185,7 +185,7 @@ class CaseInstrument:
 
     @torch.no_grad()
     def _residual(self, rendering: Rendering, shape: str) -> float:
-        """Largest |g| at a hit, by the reference's float64 field: not what the setting's own precision thinks it is."""
+        """Compute the largest |g| at a hit, by the reference's float64 field, not in the setting's precision."""
         key = "exact", shape
         if key not in self._prepared:
             problem = problem_of(self.case, self.assets, self.exact.accuracy, self.truth.codes[shape])
@@ -203,7 +203,7 @@ class CaseInstrument:
 def _rendered(
     problem: AttackProblem, setting: Setting, code: Tensor, theta: Tensor, warm: WarmStart | None
 ) -> Rendering:
-    """A rendering with all that the gradient of the setting's variable needs, or without a gradient."""
+    """Render with everything that the gradient of the setting's variable needs, or without a gradient."""
     code = code.detach().clone().requires_grad_(setting.variable == "shape")
     theta = theta.detach().clone().requires_grad_(setting.variable == "pose")
     with torch.set_grad_enabled(setting.variable != "no"):

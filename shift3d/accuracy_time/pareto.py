@@ -1,4 +1,4 @@
-"""Which settings are worth their time: one error for every way of being wrong, and what no other setting beats."""
+"""Pareto front of settings: one combined error per setting, and the settings that no other setting dominates."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 MISPLACED_M = 1.0
-"""Metres of error that a beam counts which missed, hit another surface, or hit where nothing is.
+"""Error in metres that counts for a missed hit, a hit on a wrong surface, or a false hit.
 
-Our choice. It is the rate at which the limits that `standard` promises to keep weigh the same: 0.01 % of the hits
-misplaced come to 0.1 mm, depths with a 99th percentile of 0.1 mm and a maximum of 1 mm to 0.11 mm at most. It is
-also the order of magnitude of what happens: such a return lies elsewhere on the vehicle, or on what is behind it.
+Our choice. With this value the limits that `standard` promises weigh the same: 0.01 % misplaced hits give 0.1 mm, and
+depth errors with a 99th percentile of 0.1 mm and a maximum of 1 mm give at most 0.11 mm. It is also the order of
+magnitude of the real error: a misplaced return is elsewhere on the vehicle, or on an object behind it.
 """
 
 
 ZERO_BELOW = 30.0
-"""How many times below the smallest error that is not zero a logarithmic axis has its zero."""
+"""Factor between the smallest nonzero error and the position of zero on a logarithmic axis."""
 
 _READ = (
     *("setting", "start", "ms_median", "missed_hits", "wrong_surface", "false_hits"),
@@ -31,21 +31,21 @@ _READ = (
 
 
 def misplaced(columns: Mapping[str, Any]) -> FloatArray:
-    """Share of true hits (N,) that are missed or on a wrong surface. columns: the frontier's, or a frame of it."""
+    """Compute the share (N,) of true hits that are missed or on a wrong surface. columns: columns of the frontier."""
     return _floats(columns["missed_hits"]) + _floats(columns["wrong_surface"])
 
 
 def effective_error_m(columns: Mapping[str, Any]) -> FloatArray:
-    """One error (N,) in metres for every way of being wrong: a bound on the mean error of a beam's depth.
+    """Combine all errors of each row to one (N,) in metres: an upper bound of a beam's mean depth error, float64.
 
-    ``0.5 p50 + 0.49 p99 + 0.01 max + MISPLACED_M * (missed + wrong surface + false hits)``, float64.
+    ``0.5 p50 + 0.49 p99 + 0.01 max + MISPLACED_M * (missed + wrong surface + false hits)``
 
-    The first three terms are the most that the mean of |depth error| can be, given its median, 99th percentile and
-    maximum: half of the hits are within the median, 49 % more within the percentile, the last one within the maximum.
-    Neither a good median nor a good percentile hides an outlier, unlike in an order that looks at one column first.
+    The first three terms bound the mean of |depth error| by its median, 99th percentile and maximum: half of the hits
+    are within the median, another 49 % within the percentile, the last 1 % within the maximum. Neither a good median
+    nor a good percentile hides an outlier, unlike a ranking by one column.
 
-    Args: columns: depth_p50_m, depth_p99_m, depth_max_m and the fractions missed_hits, wrong_surface, false_hits, (N,)
-    each, as in the frontier's table.
+    columns: depth_p50_m, depth_p99_m, depth_max_m and the fractions missed_hits, wrong_surface, false_hits, (N,) each,
+    as in the frontier's table.
     """
     depth = 0.5 * _floats(columns["depth_p50_m"]) + 0.49 * _floats(columns["depth_p99_m"])
     depth = depth + 0.01 * _floats(columns["depth_max_m"])
@@ -53,8 +53,8 @@ def effective_error_m(columns: Mapping[str, Any]) -> FloatArray:
 
 
 def warm_starts(columns: Mapping[str, Any]) -> BoolArray:
-    """Which settings start from a previous rendering (N,): by their column `start`, and where it is null, as in a
-    frontier of version 1, by the word "warm" in their names. columns: the frontier's, or a frame of it."""
+    """Return the mask (N,) of settings that start from a previous rendering: by the column `start`, or, if that is
+    null as in a frontier of version 1, by the word "warm" in the setting's name. columns: columns of the frontier."""
     named = [re.search(r"\bwarm\b", setting) is not None for setting in columns["setting"]]
     known = columns.get("start", [None] * len(named))
     found = [start == "warm" if isinstance(start, str) else by_name for start, by_name in zip(known, named)]
@@ -68,22 +68,19 @@ def dominators(
     grid: npt.ArrayLike | None = None,
     gradient: Sequence[str] | None = None,
 ) -> npt.NDArray[np.int64]:
-    """For each row the row that makes it pointless, or -1 where it is on the front.
+    """Find for each row the number of the row that dominates it, (N,) int64; -1 for rows on the Pareto front.
 
-    A row is dominated by one that takes no more time and has no larger error, and is better in at least one of the
-    two. So of rows that tie in both neither dominates the other, and both can be on the front.
-    Of several that dominate a row, the fastest is named, of these the most accurate, and of these the first; it is
-    itself on the front.
+    Row A dominates row B if A takes no more time, has no larger error, and is better in at least one of the two. Rows
+    equal in both do not dominate each other, so both can be on the front. Of several dominating rows the result is the
+    fastest, then the most accurate, then the first; that row is itself on the front.
 
     Args:
         time, error: (N,), finite, in any unit; smaller is better.
-        warm: (N,) bool, rows that need a previous rendering to start from. They cannot stand in for a row that needs
-            none, so they dominate one another only; a row that needs none can dominate any. None: no row needs one.
-        grid: (N,) bool, likewise rows that need an SDF grid of the shape.
-        gradient: (N,) of what rows are ready to take the gradient, "no" for nothing. Only a row that is ready for the
-            same can dominate one that is ready. None: no row is.
-
-    Returns: (N,) int64 row numbers.
+        warm: (N,) bool, True for rows that need a previous rendering. A warm row cannot replace a cold row, so it
+            dominates warm rows only; a cold row can dominate any row. None: all rows are cold.
+        grid: (N,) bool, likewise for rows that need an SDF grid of the shape.
+        gradient: (N,) variable that a row prepares the gradient for; "no": none. Only rows with the same variable can
+            dominate a row with a variable. None: all "no".
 
     Raises: ValueError: a time or an error is not finite, or the lengths differ.
     """
@@ -109,9 +106,9 @@ def dominators(
 
 
 def dominators_of(columns: Mapping[str, Any]) -> npt.NDArray[np.int64]:
-    """`dominators` of rows of one scene set, whose columns (N,) are the frontier's, or a frame of it.
+    """Apply `dominators` to rows of one scene set. columns: columns (N,) of the frontier.
 
-    Where `grid` and `gradient` are null, as in a frontier of version 1, nothing is known to need or to do more.
+    Null in `grid` and `gradient`, as in a frontier of version 1, counts as no grid and no gradient.
     """
     grid = [each is True or each is np.True_ for each in columns["grid"]]
     gradient = [each if isinstance(each, str) else "no" for each in columns["gradient"]]
@@ -120,10 +117,9 @@ def dominators_of(columns: Mapping[str, Any]) -> npt.NDArray[np.int64]:
 
 
 def pareto_flags(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
-    """The column `pareto` of the frontier: for each row whether no other of the same scenes dominates it.
+    """Compute the frontier's column `pareto`: True for rows that no other row of the same scene set dominates.
 
-    Args: rows: of the frontier, with setting, scenes, ms_median, perhaps grid and gradient, and what
-    ``effective_error_m`` reads.
+    rows: with setting, scenes, ms_median and the columns of ``effective_error_m``; start, grid, gradient are optional.
     """
     flags = np.zeros(len(rows), dtype=bool)
     for scenes in {row["scenes"] for row in rows}:
@@ -134,9 +130,9 @@ def pareto_flags(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
 
 
 def drawable(error: npt.ArrayLike, least: float) -> FloatArray:
-    """Errors (N,) with a place on a logarithmic axis: zero goes a decade and a half below the smallest that is not.
+    """Replace zeros in errors (N,) for a logarithmic axis: zero goes 1.5 decades below the smallest nonzero error.
 
-    least: what stands for the smallest where all are zero.
+    least: stands for the smallest nonzero error if all errors are zero.
     """
     errors = _floats(error)
     positive = errors[errors > 0]
@@ -145,16 +141,13 @@ def drawable(error: npt.ArrayLike, least: float) -> FloatArray:
 
 
 def knee(time: npt.ArrayLike, error: npt.ArrayLike) -> int | None:
-    """The point of a front farthest below the straight line between its ends, both axes logarithmic.
+    """Find the knee of a front: the point farthest below the line between the front's ends, both axes logarithmic.
 
-    Faster than there, accuracy is lost quickly; slower than there, it is bought dearly. Times and errors are scaled
-    so that the front's ends are at distance one on either axis, so that the units do not matter. An error of zero is
-    where the diagram draws it, see ``drawable``.
+    Faster points lose much accuracy; slower points cost much time for little accuracy. The front's ends are scaled to
+    distance one on either axis, so that units do not matter. ``drawable`` places errors of zero.
 
-    Args: time, error: (N,) of a front, in any order; times positive.
-
-    Returns: The point's number, the fastest where several are as far; None with fewer than three points that differ, or
-    where none is below the line.
+    time, error: (N,) of a front, in any order; times are positive. Returns the point's number, the fastest of equally
+    far points; None with fewer than three points, equal ends, or no point below the line.
     """
     times, errors = _floats(time), drawable(error, 1.0)
     order = np.argsort(times, kind="stable")
@@ -164,7 +157,7 @@ def knee(time: npt.ArrayLike, error: npt.ArrayLike) -> int | None:
     if x[-1] <= x[0] or y[0] <= y[-1]:
         return None
     below = 1.0 - (x - x[0]) / (x[-1] - x[0]) - (y - y[-1]) / (y[0] - y[-1])
-    # Rounded, so that points as far from the line as one another are so whatever the last digit says.
+    # Rounded, so that rounding errors do not decide between equally far points.
     best = int(np.argmax(np.round(below, 12)))
     return int(order[best]) if below[best] > 1e-9 else None
 

@@ -1,4 +1,4 @@
-"""What was measured on the cases, as rows of the frontier's table."""
+"""Rows of the frontier's table from the measured cases."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class MeasuredCase:
-    """A case after measuring. scenes: its set. beams: in its scene. results: by the setting's name.
+    """Results of one case. scenes: scene set. beams: number of beams of the scene. results: by the setting's name.
 
-    undecided: beams that the reference itself could not decide; where there are any, the truth has a gap.
+    undecided: number of beams that the reference could not decide; the ground truth lacks them.
     """
 
     scenes: str
@@ -33,12 +33,11 @@ class MeasuredCase:
 
 
 def frontier_rows(settings: Sequence[Setting], cases: Sequence[MeasuredCase]) -> list[Row]:
-    """A row for every setting and scene set, in this order, ready for `store.frontier_table`.
+    """Compute a row per scene set and setting for `store.frontier_table`, grouped by scene set.
 
-    Counts and depths are pooled over the set's renderings. Times are means over its cases of what each case's repeats
-    have as quartiles and median: the spread is that of repeating, not that of near and far vehicles. Ratios are
-    null where the preset `paper`, or the same on the sphere's chord alone, was not measured. Of gradients the worst
-    case stands in the row.
+    Counts and depths are pooled over the set's renderings. Times are the median and quartiles of each case's repeats,
+    averaged over the cases: the spread is that of repeats, not of near and far vehicles. Ratios are null if the preset
+    `paper`, or `paper` on the sphere's chord only, was not measured. Gradient columns hold the worst case.
     """
     rows: list[Row] = []
     for scenes in dict.fromkeys(case.scenes for case in cases):
@@ -94,7 +93,7 @@ def _row(setting: Setting, scenes: str, cases: Sequence[MeasuredCase]) -> Row:
 
 
 def _errors(outcomes: Sequence[Outcome]) -> Row:
-    """Shares of true hits, and depth errors of those on the right surface, over all renderings."""
+    """Compute error shares of true hits, and depth errors of hits on the right surface, over all renderings."""
 
     def total(name: str) -> int:
         return sum(outcome[name] for outcome in outcomes)
@@ -122,5 +121,5 @@ def _median(steps: Sequence[Outcome], name: str) -> float:
 
 
 def _off(ratio: float) -> float:
-    """How far a ratio is from 1, whichever way."""
+    """Compute the distance of a ratio from 1: |log ratio|, infinite for zero."""
     return abs(math.log(ratio)) if ratio > 0 else math.inf

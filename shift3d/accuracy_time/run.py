@@ -1,4 +1,4 @@
-"""All settings on all cases, interleaved, and taken up again where an earlier run stopped."""
+"""Interleaved measurement of all settings on a case, resumed from the case's journal."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import turns, wanted_samples
 
 Tell = Callable[[str, float, bool], None]
-"""Called with what is being measured, how many expected seconds are done with it, and whether it was known already."""
+"""Progress callback: name of the measurement, its expected seconds when done (else 0), True if already known."""
 
 
 @dataclass(frozen=True)
 class Repeats:
-    """How often a rendering is timed: at most `most` times, and no more often than fits into `seconds`; once, by its
-    first look, where it takes longer than slow_s."""
+    """Number of timings of a rendering: at most `most`, and at most as many as fit into `seconds`. A rendering slower
+    than slow_s is timed once, in its first measurement."""
 
     most: int
     seconds: float
@@ -28,10 +28,10 @@ class Repeats:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """What one setting came to on one case; see `measure.CaseInstrument` for the outcomes.
+    """Results of one setting on one case; see `measure.CaseInstrument` for the outcomes.
 
-    displaced: None where the setting leaves that shape out. attack: None where it makes no attacks. steps: times of
-    attack steps, the first look's among them. samples_ms: of renderings, at least one.
+    displaced: None if the setting skips the displaced shape. attack: None without attacks. steps: times of the attack
+    steps, including that of `look`. samples_ms: times of renderings, at least one.
     """
 
     look: Outcome
@@ -43,7 +43,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Something to measure under a name in the journal. seconds: about how long it takes, for the progress bar."""
+    """One measurement. name: key in the journal. seconds: expected time for the progress bar. make: runs it."""
 
     name: str
     setting: Setting
@@ -58,15 +58,15 @@ def measure_case(
     repeats: Repeats,
     tell: Tell = lambda name, seconds, known: None,
 ) -> dict[str, CaseResult]:
-    """Measure what is not in the journal yet, in an order that spreads drift over all settings.
+    """Measure everything missing from the journal, in an order that spreads the machine's drift over all settings.
 
-    Args: tell: called with a setting's name, before each measurement with no seconds.
+    tell: progress callback, called before each measurement with 0 seconds and after it with the expected seconds.
 
-    Returns: By the setting's name.
+    Returns: results by the setting's name.
     """
     _work_off(_looks(settings, instrument), journal, tell)
     _work_off(_more_steps(settings, instrument, journal, repeats), journal, tell)
-    alike: dict[str, Setting] = {}  # the first of those that render the same: its look says how often that is timed
+    alike: dict[str, Setting] = {}  # first setting of each rendering; its first measurement decides the sample count
     for setting in settings:
         alike.setdefault(setting.rendering_key, setting)
     first_ms = {key: journal[f"look/{setting.step_key}"]["render_ms"] for key, setting in alike.items()}
@@ -120,15 +120,15 @@ def _samples(
 
 
 def _step_names(setting: Setting, journal: Journal, repeats: Repeats) -> list[str]:
-    """Attack steps beyond the first look's; none where a rendering is slow."""
+    """Name the attack steps beyond that of `look`; none for a slow rendering."""
     slow = journal[f"look/{setting.step_key}"]["render_ms"] > 1e3 * repeats.slow_s
     return [] if slow else [f"step/{setting.step_key}/{i}" for i in range(1, setting.steps)]
 
 
 def _seconds(setting: Setting) -> dict[str, float]:
-    """About how long each measurement takes, a guess for the progress bar alone, from a quiet core without bfloat16.
+    """Estimate the time of each measurement on a quiet core without bfloat16, for the progress bar only.
 
-    What the bar says is left soon follows what was measured.
+    The bar's remaining time soon follows the measured speed.
     """
     paper = 20.0 if setting.accuracy.get("sphere_chord_only") else 85.0
     by_solver = {"paper": paper, "piecewise_linear": 5.0, "plain_sphere_tracing": 0.7}
@@ -143,7 +143,7 @@ def _seconds(setting: Setting) -> dict[str, float]:
 
 
 def expected_seconds(settings: Sequence[Setting], cases: int) -> float:
-    """What `measure_case` tells in all, about."""
+    """Estimate the sum of the seconds that `measure_case` passes to `tell`, over all cases."""
     total = sum(_seconds(s)["samples"] for s in {s.rendering_key: s for s in settings}.values())
     for setting in settings:
         each = _seconds(setting)

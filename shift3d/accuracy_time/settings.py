@@ -1,4 +1,4 @@
-"""One setting that is measured, and what of it has to be measured only once."""
+"""Measured setting, with keys for measurements that several settings share."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class Setting:
-    """A row of the frontier before it is measured.
+    """Setting of one row of the frontier.
 
-    name, method, knob, knob_name, preset: as in the table, see `store.frontier_table`. accuracy: every setting of the
-    renderer as plain values, and "detector", the precision in the search, as
-    `settings.catalogue.reading.accuracy_settings` gives them. The others: see
-    `settings.accuracy_time.MeasuredSetting`.
+    name, method, knob, knob_name, preset: columns of the table, see `store.frontier_table`. accuracy: every renderer
+    setting as plain values and "detector", the precision in the search, from
+    `settings.catalogue.reading.accuracy_settings`. Other fields: see `settings.accuracy_time.MeasuredSetting`.
     """
 
     name: str
@@ -36,19 +35,19 @@ class Setting:
 
     @property
     def variable(self) -> Literal["no", "shape", "pose"]:
-        """What a rendering is timed ready to take the gradient of; a warm one that of its attack's variable."""
+        """Variable whose gradient the timed rendering prepares; of a warm rendering, the variable of its attack."""
         return self.gradient if self.warm == "no" else self.warm
 
     @property
     def score_precision(self) -> str:
-        """Of the detector that scores; as tasks have it (`task.assets.score_precision`)."""
+        """Precision of the scoring detector, as in tasks (`task.assets.score_precision`)."""
         return "float64" if self.accuracy["detector"] == "float64" else "float32"
 
     @property
     def rendering_key(self) -> str:
-        """Settings with the same one render the same: they share one measured time, so that none beats another.
+        """Key of the rendering. Settings with equal keys render the same and share one time, so that they tie.
 
-        What shapes a gradient alone changes no rendering that prepares none.
+        The key leaves out settings that affect the gradient only if the rendering prepares no gradient.
         """
         without = {"detector"} if self.variable != "no" else {"detector", "min_n_dot_d"}
         renderer = {name: value for name, value in self.accuracy.items() if name not in without}
@@ -56,17 +55,17 @@ class Setting:
 
     @property
     def displaced_key(self) -> str:
-        """Settings with the same one see the same displaced shape with the same score."""
+        """Key of the displaced shape: settings with equal keys see the same shape with the same score."""
         return _digest(self.rendering_key, self.score_precision, self.crop_m is None)
 
     @property
     def step_key(self) -> str:
-        """Settings with the same one take the same attack step."""
+        """Key of the attack step: settings with equal keys take the same step."""
         return _digest(self.rendering_key, dict(self.accuracy), self.crop_m, self.incremental)
 
     @property
     def attack_key(self) -> str:
-        """Settings with the same one make the same attacks."""
+        """Key of the attacks: settings with equal keys run the same attacks."""
         return _digest(dict(self.accuracy), self.attack_steps)
 
 

@@ -1,4 +1,4 @@
-"""Times of one call, in an order that spreads the machine's drift over all that is timed."""
+"""Timing of calls, in an order that spreads the machine's drift over all timed calls."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 
 def milliseconds(call: Callable[[], object]) -> float:
-    """How long one call takes, the garbage collector at rest."""
+    """Time one call in milliseconds, with the garbage collector disabled."""
     was_on = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -28,15 +28,15 @@ def milliseconds(call: Callable[[], object]) -> float:
 
 
 def quartiles(samples: Sequence[float]) -> tuple[float, float, float]:
-    """(lower quartile, median, upper quartile) of at least one sample."""
+    """Compute (lower quartile, median, upper quartile) of at least one sample."""
     low, median, high = np.percentile(np.asarray(samples, dtype=np.float64), (25, 50, 75))
     return float(low), float(median), float(high)
 
 
 def wanted_samples(first_ms: float, most: int, seconds: float, slow_s: float) -> int:
-    """How often a call is timed once its first run is known: what fits into `seconds`, at least once; 0 if it is slow.
+    """Return the number of further timings of a call: as many as fit into `seconds`, at least 1 and at most `most`.
 
-    A slow one is timed by that first run alone.
+    first_ms: time of the first run. If the first run exceeds slow_s, the number is 0: the first run is the only timing.
     """
     if first_ms > 1e3 * slow_s:
         return 0
@@ -44,14 +44,13 @@ def wanted_samples(first_ms: float, most: int, seconds: float, slow_s: float) ->
 
 
 def turns(wanted: Mapping[str, int]) -> Iterator[tuple[str, int]]:
-    """(name, number of the sample) in rounds: nothing has its samples in a row.
+    """Yield (name, number of the sample) in rounds, so that no name has its samples in a row.
 
-    As many rounds as the largest number asks for; who wants fewer samples has them spread evenly over the rounds.
-    Every second round runs backwards, so that a machine that grows slower or faster while it is measured does so to
-    all of them alike.
+    The largest wanted number decides the number of rounds; smaller numbers of samples spread evenly over the rounds.
+    Every second round runs in reverse order, so that a machine that becomes slower or faster affects all names alike.
     """
     rounds = max(wanted.values(), default=0)
-    # The i-th of n samples belongs into the middle of the i-th of n equal parts.
+    # The i-th of n samples goes to the middle of the i-th of n equal parts.
     when = {name: [int((i + 0.5) * rounds / n) for i in range(n)] for name, n in wanted.items()}
     for number in range(rounds):
         names = list(wanted) if number % 2 == 0 else list(wanted)[::-1]
@@ -61,7 +60,7 @@ def turns(wanted: Mapping[str, int]) -> Iterator[tuple[str, int]]:
 
 
 def machine() -> dict[str, Any]:
-    """What times hold for: processor, its instructions, cores, torch, threads; no date, so that bytes can be equal."""
+    """Describe the machine that times hold for, without a date, so that equal results have equal bytes."""
     import torch
 
     from shift3d.processor import has_fast_bfloat16

@@ -1,4 +1,4 @@
-"""What every error of a case is measured against: the preset `reference` on two shapes, and its gradient."""
+"""Ground truth of a case: renderings of two shapes by the preset `reference`, and the reference gradient."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from shift3d.task.assets import Assets
 from shift3d.task.scoring import detections_near
 
 SHAPES = ("start", "displaced")
-"""The vehicle as it is, and as a short attack has left it."""
+"""Names of the two shapes: the vehicle, and the vehicle after a short attack."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Of one case; dictionaries by shape.
+    """Ground truth of one case; dictionaries by shape.
 
-    codes: (d,) float64. hits: first hits and their chords. scores: final scores, of the float64 detector.
-    unresolved: beams that the reference could not decide. dz: (d,) and dtheta: (6,) float64 gradient at the start.
+    codes: (d,) float64 latent codes. hits: first hits and their chords. scores: final scores of the float64 detector.
+    unresolved: number of beams that the reference could not decide. dz: (d,), dtheta: (6,) float64 gradient at "start".
     """
 
     codes: dict[str, Tensor]
@@ -52,11 +52,10 @@ class Truth:
 
 
 def make_truth(case: Case, assets: Assets, reference: Setting, search: Setting, steps: int) -> Truth:
-    """Render both shapes by the reference, and take the gradient at the first.
+    """Render both shapes by the reference, and compute the gradient at the first.
 
-    Args:
-        reference: the preset, with the detector's widest window, so that a narrower one can be held against it.
-        search, steps: accuracy and length of the attack that displaces the shape; after no step it is the first one.
+    reference: the preset, with the widest detector window, so that narrower windows can be compared with it. search,
+    steps: setting and length of the attack that displaces the shape; with 0 steps both shapes are equal.
     """
     problem = problem_of(case, assets, reference.accuracy)
     step = attack_step(problem, problem.code0, problem.theta0, reference.crop_m)
@@ -92,7 +91,7 @@ def _hits(problem: AttackProblem, code: Tensor, rendering: Rendering) -> TrueHit
 
 
 def descended_code(problem: AttackProblem, lambda_: float, alpha: float, steps: int) -> Tensor:
-    """(d,) float64: the code after so many steps of the attack on the shape, valid or not, the pose unchanged."""
+    """Attack the shape for `steps` steps at a fixed pose; return the last code (d,) float64, valid or not."""
     code, warm, incremental = problem.code0.detach().clone(), None, problem.incremental_inference()
     for _ in range(steps):
         step = attack_step(problem, code, problem.theta0, ATTACK_RADIUS_M, warm, of_pose=False, incremental=incremental)
@@ -104,10 +103,10 @@ def descended_code(problem: AttackProblem, lambda_: float, alpha: float, steps: 
 def score_of(
     problem: AttackProblem, detector: Detector, rendering: Rendering, window_m: float | None, radius_m: float
 ) -> float:
-    """The final score of a rendering at hand, as `task.scoring.score_object` gives it for one that it makes.
+    """Compute the final score of an existing rendering, as `task.scoring.score_object` does for its own rendering.
 
-    detector: at the precision that scores. window_m: of the detector; None: the whole scene. radius_m: how near the
-    centre of a detecting box lies.
+    detector: detector in the precision of scores. window_m: radius of the detector's window; None: the whole scene.
+    radius_m: largest distance between the centres of the object and of a bounding box that detects it.
     """
     with torch.no_grad():
         points = to_network_frame(rendering.points.detach(), problem.ground_z_m)
@@ -117,7 +116,7 @@ def score_of(
 
 
 def write_truth(path: Path, truth: Truth) -> None:
-    """Keep it for a run that is taken up again. Raises InputError where the disk is full or not writable."""
+    """Store the ground truth for a resumed run. Raises: InputError: a full or read-only disk."""
     arrays: dict[str, Any] = {"dz": truth.dz.numpy(), "dtheta": truth.dtheta.numpy()}
     for shape in SHAPES:
         hits = truth.hits[shape]
@@ -128,7 +127,7 @@ def write_truth(path: Path, truth: Truth) -> None:
 
 
 def read_truth(path: Path) -> Truth:
-    """The inverse of `write_truth`."""
+    """Load the ground truth that `write_truth` stored."""
     with np.load(path, allow_pickle=False) as arrays:
 
         def tensor(shape: str, name: str) -> Tensor:

@@ -1,1 +1,1 @@
-"""The command line: argument parsing and wiring, nothing else."""
+"""Command line: argument parsing and wiring, nothing else."""

@@ -1,4 +1,4 @@
-"""What a subcommand is, and how its ``key=value`` words are read."""
+"""Subcommand description, and parsers for its ``key=value`` words."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from shift3d.cli.completion import folder_words
 from shift3d.errors import InputError, empty_error
 
 FINISHED = "output folder of a finished sweep"
-"""Help of OUT, for most commands that take one."""
+"""Help text of the argument OUT in most commands."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """One subcommand, in its own file.
+    """One subcommand, defined in its own file.
 
-    summary: a line in ``shift3d --help``. description, epilog: its own ``--help``, the epilog with examples.
-    run: parsed arguments to an exit code; imports heavy things itself. out, words: help of the sweep's folder that it
-    takes first, and of its words; empty: it takes none. metavar, complete: of a word, and what the shell offers for it.
-    options: adds what else it takes. resumes: whether the same command goes on where it was stopped.
+    summary: line in ``shift3d --help``. description, epilog: texts of the subcommand's ``--help``, examples last. run:
+    function from parsed arguments to an exit code; it imports heavy modules inside. out: help of the first argument, a
+    sweep's folder; empty: no folder. words, metavar, complete: help, metavar and completer of the words; empty help: no
+    words. options: function that adds further arguments. resumes: True if the same command resumes a stopped run.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Command:
     resumes: bool = False
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """What it takes, as argparse and tab completion see it."""
+        """Add the command's arguments and their completers to a parser."""
         if self.out:
             out = parser.add_argument("out", metavar="OUT", help=self.out)
             out.completer = folder_words  # type: ignore[attr-defined]
@@ -52,17 +52,14 @@ class Command:
 
 
 def run_command(command: Command, words: Sequence[str]) -> int:
-    """Run a command with words, as a command line would. Raises: InputError as it does."""
+    """Run a command on words of a command line; return its exit code. Raises: InputError, as the command does."""
     parser = argparse.ArgumentParser(prog=f"shift3d {command.name}")
     command.add_arguments(parser)
     return command.run(parser.parse_args(words))
 
 
 def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[str], where: str) -> dict[str, str]:
-    """Read ``key=value`` words.
-
-    Raises: InputError: a word without '=', an unknown, repeated or empty key, or a required one that is missing.
-    """
+    """Parse ``key=value`` words. Raises: InputError: no '=', unknown or repeated key, empty value, or missing key."""
     values: dict[str, str] = {}
     usage = "Give " + " ".join(f"{key}=..." for key in required)
     for word in words:
@@ -84,7 +81,7 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
 
 
 def take_words(key: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """What words say as ``key=VALUE``, and the other words. Raises: InputError: one says nothing."""
+    """Split words into the values of ``key=VALUE`` and the other words. Raises: InputError: an empty value."""
     named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
     if not all(value.strip() for value in named):
         raise empty_error(key)
@@ -92,7 +89,7 @@ def take_words(key: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def choice(values: Mapping[str, str], key: str, allowed: Sequence[str], where: str) -> str:
-    """One of some values of a key, by default the first. Raises: InputError for another."""
+    """Return the value of a key, by default the first allowed value. Raises: InputError: the value is not allowed."""
     value = values.get(key, allowed[0])
     if value not in allowed:
         raise InputError(f"{key}={value!r} is unknown", where, f"One of: {', '.join(allowed)}")
@@ -100,7 +97,7 @@ def choice(values: Mapping[str, str], key: str, allowed: Sequence[str], where: s
 
 
 def flag(values: Mapping[str, str], key: str, default: bool, where: str) -> bool:
-    """Whether a key is true. Raises: InputError for what is neither true nor false."""
+    """Parse the value of a key as true or false. Raises: InputError: any other value."""
     text = values.get(key, str(default).lower())
     if text not in ("true", "false"):
         raise InputError(f"{key}={text!r} is neither true nor false", where, f"Give {key}=true")
@@ -108,7 +105,7 @@ def flag(values: Mapping[str, str], key: str, default: bool, where: str) -> bool
 
 
 def refuse(values: Mapping[str, str], keys: Iterable[str], why: str, where: str) -> None:
-    """Refuse keys that a command takes, but not here. Raises: InputError for the first one, and why it is refused."""
+    """Refuse keys that do not fit the other words. Raises: InputError: the first refused key, with the reason `why`."""
     for key in keys:
         if key in values:
             raise InputError(f"{key}= {why}", where, f"Leave out {key}=")
@@ -117,7 +114,7 @@ def refuse(values: Mapping[str, str], keys: Iterable[str], why: str, where: str)
 def whole_number(
     values: Mapping[str, str], key: str, default: int, where: str, least: int = 1, most: float = math.inf
 ) -> int:
-    """The whole number behind a key. Raises: InputError for anything else, below the least and above the most."""
+    """Parse the whole number of a key. Raises: InputError: no whole number, or outside `least` to `most`."""
     text = values.get(key, str(default))
     if not text.isdecimal() or not least <= int(text) <= most:
         bounds = f"from {least}" + ("" if math.isinf(most) else f" to {most:.0f}")
@@ -126,7 +123,7 @@ def whole_number(
 
 
 def share(values: Mapping[str, str], key: str, default: float, where: str) -> float:
-    """The number of [0, 1) behind a key. Raises: InputError for anything else."""
+    """Parse the number of a key in [0, 1). Raises: InputError: any other value."""
     try:
         value = float(values.get(key, default))
     except ValueError:
@@ -137,7 +134,7 @@ def share(values: Mapping[str, str], key: str, default: float, where: str) -> fl
 
 
 def real_number(values: Mapping[str, str], key: str, where: str, example: str) -> float | None:
-    """The finite number behind a key, None without one. Raises: InputError for anything else."""
+    """Parse the finite number of a key; None without the key. Raises: InputError: any other value."""
     try:
         value = float(values[key]) if key in values else None
     except ValueError:
@@ -148,7 +145,7 @@ def real_number(values: Mapping[str, str], key: str, where: str, example: str) -
 
 
 def local_path(text: str, key: str = "out") -> Path:
-    """A path of this machine, ~ replaced. Raises InputError: a URL, or the home of nobody. key: of its word."""
+    """Parse a local path and expand ~. key: key of the word. Raises: InputError: a URL, or an unknown user after ~."""
     if "://" in text:
         raise InputError("is no path of this machine, where this command writes", text, f"Give {key}=PATH")
     try:
@@ -158,10 +155,7 @@ def local_path(text: str, key: str = "out") -> Path:
 
 
 def writable_folder(text: str, key: str = "out") -> Path:
-    """The folder that a command writes to, found to be writable before the work begins. key: of the word that names it.
-
-    Raises: InputError: it cannot be written to, or made.
-    """
+    """Return an output folder, checked for write access. key: key of the word. Raises: InputError: not writable."""
     from shift3d.store.atomic import check_writable
 
     folder = local_path(text, key)

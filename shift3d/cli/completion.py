@@ -1,4 +1,4 @@
-"""What the shell is offered for a word: read from the folders, nothing imported."""
+"""Tab completion of command words, read from the folders without heavy imports."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shift3d.settings.folders import files, places, shipped
 
 
 def sweep_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_: Any) -> list[str]:
-    """Completions of a word after ``shift3d sweep``: plan, status, a sweep's folder, or as :func:`plan_words`."""
+    """Complete a word after ``shift3d sweep``: plan, status, a sweep's folder, or as :func:`plan_words`."""
     before = list(getattr(parsed_args, "words", None) or [])
     if before[:1] == ["status"]:
         return folder_words(prefix)
@@ -22,7 +22,7 @@ def sweep_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_:
 
 
 def plan_words(prefix: str, **_: Any) -> list[str]:
-    """Completions of a sweep's name, a job, or an override."""
+    """Complete a sweep's name, a job, or an override."""
     key, equals, value = prefix.partition("=")
     if equals and key in ("out", "reuse"):
         return [f"{key}={folder}" for folder in folder_words(value)]
@@ -32,12 +32,12 @@ def plan_words(prefix: str, **_: Any) -> list[str]:
 
 
 def job_names() -> list[str]:
-    """Names of the specs that ``job=`` takes."""
+    """Return the names of the launch specs that ``job=`` accepts."""
     return [name for name, path in files("jobs").items() if "\nrunner:" in path.read_text()]
 
 
 def folder_words(prefix: str, **_: Any) -> list[str]:
-    """Completions of a sweep's folder: those in outputs/, and folders on the way to others."""
+    """Complete a sweep's folder: sweeps in outputs/, or, after a slash, sweeps and the folders on the way to them."""
     head, slash, _name = prefix.rpartition("/")
     places = [Path(f"{head}{slash}").expanduser()] if slash else [Path(), Path("outputs")]
     found = []
@@ -55,7 +55,7 @@ def key_words(
     values: Mapping[str, Sequence[str]] = {},
     more: Callable[[str], list[str]] = lambda prefix: [],
 ) -> Callable[..., list[str]]:
-    """A completer of ``key=`` and of the values that a key is known to take. more: what else there is for a prefix."""
+    """Return a completer of ``key=`` and of a key's known values. more: further completions of a prefix."""
 
     def complete(prefix: str, **_: Any) -> list[str]:
         key, equals, _value = prefix.partition("=")
@@ -66,12 +66,12 @@ def key_words(
 
 
 def runner_words(prefix: str, **_: Any) -> list[str]:
-    """Completions of a setting of the runner, for commands that take no others."""
+    """Complete a setting of the runner, for commands that accept no other settings."""
     return [word for word in overrides(prefix) if word.startswith("runner")]
 
 
 def retrieval_words(prefix: str, **_: Any) -> list[str]:
-    """Completions of a word after ``shift3d retrieve OUT``: the pool's folder, or an override."""
+    """Complete a word after ``shift3d retrieve OUT``: the pool's folder, or an override."""
     key, equals, value = prefix.partition("=")
     if equals and key == "pool":
         return [f"pool={folder}" for folder in folder_words(value)]
@@ -79,7 +79,7 @@ def retrieval_words(prefix: str, **_: Any) -> list[str]:
 
 
 def overrides(prefix: str) -> list[str]:
-    """Completions of ``group=option``, ``group.setting=``, ``setting=value``, ``out=`` and ``reuse=``."""
+    """Complete ``group=option``, ``group.setting=``, ``setting=value``, ``out=`` and ``reuse=``."""
     key, equals, value = prefix.partition("=")
     if equals:
         found = files(f"conf/{key}") if key.isidentifier() else []
@@ -88,14 +88,14 @@ def overrides(prefix: str) -> list[str]:
 
 
 def _settings() -> dict[str, list[str]]:
-    """Every group and setting, with the values that its comment lists."""
+    """Read every group and setting of conf/, with the values that the setting's comment lists."""
     top = _lines((shipped("conf") / "config.yaml").read_text())
     names = {parents[0]: values for parents, values in top if len(parents) == 1 and parents != ["defaults"]}
     for path in [file for folder in places("conf") for file in folder.glob("*/*.yaml")]:
         group, text = path.parent.name, path.read_text()
         names.setdefault(group, [])
         if text.startswith("# @package _global_"):
-            continue  # it sets what stands elsewhere
+            continue  # a file of this package sets settings of other groups
         for parents, values in _lines(text):
             if parents[-1] not in ("defaults", "kind"):
                 known = names.setdefault(".".join([group, *parents]), [])
@@ -104,7 +104,8 @@ def _settings() -> dict[str, list[str]]:
 
 
 def _lines(text: str) -> list[tuple[list[str], list[str]]]:
-    """Each setting of a file of conf/, its name and those around it; and its values: ``# a (why) | b``, or a truth."""
+    """Parse a file of conf/: of each setting the path, outermost name first, and the values. A comment
+    ``# a (why) | b`` lists the values; otherwise a boolean setting has true and false."""
     found: list[tuple[list[str], list[str]]] = []
     parents: list[str] = []
     for indent, name, value, comment in re.findall(r"^( *)(\w+):[ ]*([^#\n]*)(.*)", text, flags=re.MULTILINE):

@@ -1,4 +1,4 @@
-"""The words that say what a detector is made of, which several commands take."""
+"""Words for the files of a detector, common to several commands."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from shift3d.errors import InputError
 
 _FOREIGN_KEYS = ("config", "vehicle_class", "sensor_height_m", "intensity")
 DETECTOR_KEYS = ("weights", "module", "file", *_FOREIGN_KEYS)
-# Keys that a detector cannot do without, and what they name; those of another detector mean nothing.
+# Per detector: the required key with an example value, and the allowed keys. Keys of another detector are refused.
 _NEEDED = {OWN: ("module", "FILE.py"), ONNX: ("file", "FILE.onnx"), **dict.fromkeys(FOREIGN, ("config", "FILE"))}
 _TAKEN = {OWN: ("weights", "module"), ONNX: ("file",), **dict.fromkeys(FOREIGN, ("weights", *_FOREIGN_KEYS))}
 
 
 class DetectorFiles(NamedTuple):
-    """weights: a file, an ONNX file too; None: those that ship, or none. module: Python file of the user's own. layout:
-    of one of another codebase, see `detectors.foreign.layout`."""
+    """Files and layout of one detector.
+
+    weights: file of weights or ONNX file; None: the shipped weights, or no weights. module: Python file of the user's
+    detector. layout: layout of a detector of another codebase, see `detectors.foreign.layout`.
+    """
 
     weights: str | None
     module: str | None
@@ -27,10 +30,9 @@ class DetectorFiles(NamedTuple):
 
 
 def detector_files(name: str, values: Mapping[str, str], command: str) -> DetectorFiles:
-    """What the words of a command say of a detector.
+    """Return the files and layout of a detector from the words of a command.
 
-    Raises: InputError for words that do not belong to the detector, one that is missing, a file that is missing, a
-        config that is not covered, or a value that is no number.
+    Raises: InputError: words of another detector, a missing word or file, an unsupported config, or an invalid number.
     """
     for key in ("module", "file"):
         if key in values and not Path(values[key]).expanduser().is_file():
@@ -45,14 +47,13 @@ def detector_files(name: str, values: Mapping[str, str], command: str) -> Detect
 
 
 def detector_name(name: str, values: Mapping[str, str]) -> str:
-    """What tells a detector from others of its kind: the name of the file that it cannot do without; "" for those that
-    ship."""
+    """Return the name that tells a detector from others of its kind: the stem of its required file; "" if shipped."""
     needed, _ = _NEEDED.get(name, ("", ""))
     return Path(values[needed]).stem if needed else ""
 
 
 def _foreign_layout(name: str, values: Mapping[str, str], command: str) -> dict[str, Any]:
-    """What the config of a detector of another codebase says."""
+    """Read the config of a detector of another codebase."""
     from shift3d.detectors.foreign.detector import foreign_layout
     from shift3d.detectors.foreign.parts import Choices
 

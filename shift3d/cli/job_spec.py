@@ -1,4 +1,4 @@
-"""``job=NAME``: a launch spec of jobs/, which says where a sweep runs and nothing of what it measures."""
+"""Launch specs of ``job=NAME``: files of jobs/ that decide where a sweep runs, without effect on results."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from shift3d.settings.folders import files, looked_in
 
 
 class JobSpec(BaseModel):
-    """A launch spec that ``shift3d sweep`` itself reads; the others in jobs/ are read by the tools that they are for.
+    """Launch spec that ``shift3d sweep`` reads. Other tools (Slurm, Kubernetes ...) read the other files of jobs/.
 
-    kind: "local" and "ray_cluster": the driver runs here. "ray_job": it runs on the cluster at ``address``, submitted
-    through Ray's Jobs API with ``runtime_env``. runner: settings of the runner, under those of the command.
+    kind: "local" and "ray_cluster" run the driver on this machine; "ray_job" submits the driver through Ray's Jobs API,
+    with ``runtime_env``, to the cluster at ``address``. runner: settings of the runner; the command's settings win.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -38,7 +38,7 @@ class JobSpec(BaseModel):
         return self
 
     def overrides(self, requested: Sequence[str]) -> list[str]:
-        """The runner's settings as overrides that go before those given; none where these name a runner."""
+        """Return the runner's settings as overrides to put before `requested`; [] if `requested` names a runner."""
         if any(word.startswith("runner=") for word in requested):
             return []
         values = {key: "null" if value is None else value for key, value in self.runner.items() if key != "kind"}
@@ -46,18 +46,15 @@ class JobSpec(BaseModel):
 
 
 def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
-    """The job that the last ``job=`` word names, and the words without any.
-
-    Raises: InputError: see :func:`read_job`.
-    """
+    """Split words into the job of the last ``job=`` word and all other words. Raises: InputError, see `read_job`."""
     named, rest = take_words("job", words)
     return read_job(named[-1]) if named else None, rest
 
 
 def read_job(name: str) -> JobSpec:
-    """A spec by the name of its file in jobs/ (the current folder's first), or by the path of another file.
+    """Load a launch spec by the name of its file in jobs/ (the current folder's first), or by the path of a file.
 
-    Raises: InputError: there is none, another tool reads it, or it does not hold what a spec holds.
+    Raises: InputError: the file is missing, unreadable, invalid, or meant for another tool.
     """
     remedy = f"One of: {', '.join(job_names())}, or the path of a file like them. {looked_in('jobs')}"
     named = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else files("jobs").get(name)

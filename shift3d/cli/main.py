@@ -1,4 +1,4 @@
-"""``shift3d``: the commands, and what their failures look like."""
+"""Main program ``shift3d``: dispatch of the commands and reports of their failures."""
 
 # PYTHON_ARGCOMPLETE_OK
 
@@ -47,7 +47,7 @@ _RESUMES = "; the same command resumes"
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The parser of every command."""
+    """Create the parser of all commands."""
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
         prog="shift3d", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=form, allow_abbrev=False
@@ -69,7 +69,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """Parse a command line. Words may stand on both sides of an option, which argparse alone does not allow."""
+    """Parse a command line. Words may precede and follow an option, which argparse alone does not allow."""
     parser = make_parser()
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete
@@ -92,7 +92,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 def _refuse_option(parser: argparse.ArgumentParser, name: str | None, option: str) -> NoReturn:
-    """End with the options that a command has, and the one that was meant. name: of the command, None before it."""
+    """Exit with the options of a command and the closest match. name: the command; None for an option before it."""
     known = ["--help", "--version"]
     if command := next((command for command in COMMANDS if command.name == name), None):
         own = argparse.ArgumentParser(add_help=False)
@@ -122,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"shift3d {parsed.command}: interrupted{_RESUMES if parsed.resumes else ''}", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     except BrokenPipeError:
-        # The reader of our output (head, less) has left; there is nobody to tell.
+        # The reader of the output (head, less) has closed the pipe, so no message can reach it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return int(ExitCode.NO_READER)
     except OSError as error:
@@ -134,11 +134,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _report(error: InputError, parsed: argparse.Namespace) -> int:
-    """Print the line of an error, and return its exit code."""
     from shift3d.store.atomic import DiskFullError
 
     resumes = ": it resumes" if isinstance(error, DiskFullError) and parsed.resumes else ""
-    text = str(error).removeprefix(f"{parsed.command}: ")  # where a word of the command is wrong, it is the place
+    text = str(error).removeprefix(f"{parsed.command}: ")  # errors about words name the command as their place
     print(f"shift3d {parsed.command}: {text}{resumes}", file=sys.stderr)
     return int(error.exit_code)
 

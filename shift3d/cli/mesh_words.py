@@ -1,4 +1,4 @@
-"""The words that say how a mesh file's vehicle points and how large it is: forward= up= unit= length_m=."""
+"""Words for the orientation and scale of a vehicle in a mesh file: forward= up= unit= length_m=."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 FRAME_KEYS = ("forward", "up", "unit", "length_m")
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 FRAME_VALUES = {"forward": _AXES, "up": _AXES, "unit": ("m", "cm", "mm", "in")}
-"""What the shell offers for them."""
+"""Values for tab completion."""
 FRAME_TEXT = """\
 meshes: a PLY, OBJ, GLB or STL file, a folder of them, or a folder in ShapeNet's layout
 ({synset}/{id}/models/model_normalized.obj). forward= and up= are axes of the files, by default ShapeNet's
@@ -21,7 +21,7 @@ instead. A mesh that is not closed is repaired, and said how, or refused."""
 
 
 def mesh_frame(values: dict[str, str], where: str) -> MeshFrame:
-    """The orientation and scale in a command's words. Raises: InputError for one that cannot be."""
+    """Parse the orientation and scale in a command's words. Raises: InputError: an impossible frame."""
     from shift3d.vehicles.mesh_frame import MeshFrame
 
     frame: dict[str, str] = {key: values[key] for key in ("forward", "up", "unit") if key in values}

@@ -1,4 +1,4 @@
-"""What commands say at their end in common: that they were interrupted, and what became of the MLflow run."""
+"""Closing messages common to commands: an interruption, and the result of mirroring to MLflow."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def interrupted(result: SweepResult, what: str = "done", command: str = "") -> int:
-    """Say how far an interrupted sweep is, and that its command resumes; the exit code. what: was done to the tasks."""
+    """Print an interrupted sweep's progress and how to resume; return the exit code. what: as in "3 tasks verified"."""
     print(
         f"interrupted: {result.done} of {counted(result.planned, 'task')} {what}, {result.left} left", file=sys.stderr
     )
@@ -24,9 +24,9 @@ def interrupted(result: SweepResult, what: str = "done", command: str = "") -> i
 
 
 def mirror(tracking: MlflowConfig | NoTrackingConfig, write: Callable[[str, str], str | None], run: str = "") -> None:
-    """Mirror to the store that settings name, if they name one, and say what came of it.
+    """Mirror results to the MLflow store of the settings, if any, and print the outcome.
 
-    write: of the store's URI and the experiment, returns why MLflow could not be written. run: its name, if it has one.
+    write: writes the run, given URI and experiment of the store; returns the problem, or None. run: name of the run.
     """
     from shift3d.settings.schema.config import MlflowConfig
 

@@ -1,4 +1,4 @@
-"""What ``shift3d --version`` prints: what a report of a defect should name."""
+"""Output of ``shift3d --version``: the versions that a defect report should name."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _LIBRARIES = ("torch", "ray")
 
 
 def version_lines() -> str:
-    """shift3d with its commit, Python, torch and Ray, a line each. Imports none of them."""
+    """Format the versions of shift3d (with its commit), Python, torch and Ray, one per line, without importing them."""
     commit = _commit(Path(shift3d.__file__).resolve().parents[1])
     own = f"shift3d {shift3d.__version__}" + (f", commit {commit}" if commit else "")
     return "\n".join([own, f"Python {platform.python_version()}", *map(_library, _LIBRARIES)])
 
 
 def _commit(checkout: Path) -> str:
-    """Of a checkout, with "-dirty" where files that git tracks were changed; empty without git or a checkout."""
+    """Return the commit of a checkout, with "-dirty" if tracked files differ; empty without git or a checkout."""
     if not (checkout / ".git").exists():
         return ""
     command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--exclude=*"]

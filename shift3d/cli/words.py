@@ -1,4 +1,4 @@
-"""The words after ``shift3d sweep`` and ``shift3d plan``: a sweep or its folder, overrides, and where it runs."""
+"""Words after ``shift3d sweep`` and ``shift3d plan``: a sweep or its folder, overrides, folders, and the job."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 SWEEP_WORDS = "the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs"
 SWEEP_METAVAR = "NAME | key=value"
 RUNNER = ("where it runs: settings of conf/runner", "runner=...", runner_words)
-"""Help, metavar and completions of the words of commands that `runner_of` reads."""
+"""Help, metavar and completer of words that :func:`runner_of` parses."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a command line asks for.
+    """Parsed words of a command line.
 
-    out: the folder to write to; None: the usual one. reuse: folders of other sweeps. job: the launch spec, whose
-    runner is part of the overrides.
+    out: output folder; None: the default one. reuse: folders of other sweeps, whose results of the same tasks are
+    reused. job: launch spec; `overrides` already include its runner.
     """
 
     name: str
@@ -39,30 +39,24 @@ class Request:
 
 
 def read_words(words: Sequence[str]) -> Request:
-    """Words to what they ask for.
-
-    Raises: InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
-    """
+    """Parse the words of a command line. Raises: InputError: an unusable or damaged folder, or an unknown job."""
     from shift3d.cli.job_spec import take_job
     from shift3d.sweep.planning.spec_file import read_spec
 
     reuse, rest = take_folders("reuse", words)
     for folder in reuse:
-        read_spec(folder)  # before scenes are looked at, which may take minutes
+        read_spec(folder)  # checked before the scenes are read, which may take minutes
     job, typed = take_job(rest)
     name, overrides, out = split_words(_words_of_folder(typed))
     if job:
-        # Not the runner that the folder was begun with.
+        # The job's runner replaces the runner that the sweep's folder recorded.
         overrides = [word for word in overrides if word in typed or not word.startswith("runner")]
         overrides = [*job.overrides(overrides), *overrides]
     return Request(name, overrides, out, reuse, job)
 
 
 def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
-    """Words to (name, overrides, out).
-
-    Raises: InputError: out= is empty, or a URL that cannot be used.
-    """
+    """Split words into (name, overrides, out). Raises: InputError: out= is empty or an unusable URL."""
     name = "default"
     if words and "=" not in words[0] and not words[0].startswith(("+", "~")):
         name, words = words[0], words[1:]
@@ -71,10 +65,7 @@ def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
 
 
 def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[str]]:
-    """The folders that words name as ``key=FOLDER``, and the other words.
-
-    Raises: InputError: one is empty, or a URL that cannot be used.
-    """
+    """Split words into folders of ``key=FOLDER`` and other words. Raises: InputError: an empty or unusable folder."""
     from shift3d.store.resolve import as_location
 
     named, rest = take_words(key, words)
@@ -82,10 +73,7 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
 
 
 def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
-    """The runner that overrides describe, from what conf/ has, for a command on what a sweep has found.
-
-    Raises: InputError: another setting than the runner's; what was searched is taken as it is.
-    """
+    """Compose the runner from conf/ and overrides, for a follow-up command. Raises: InputError: any other override."""
     from shift3d.settings.compose import compose_sweep
     from shift3d.settings.expand import expand
 
@@ -97,11 +85,10 @@ def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
 
 
 def _words_of_folder(words: list[str]) -> list[str]:
-    """The words that a sweep was begun with where its output folder stands for them; words after it are added.
+    """Replace a sweep's output folder as the first word by the words that began the sweep; later words are added.
 
-    A sweep's name is that, whatever the current folder holds: ./NAME is the folder, as is any word with a slash that is
-    no file.
-    Raises: InputError where out= names another folder, or the folder is no sweep's.
+    The name of a sweep is never read as a folder; ./NAME is a folder, and so is any word with a slash that is no file.
+    Raises: InputError: out= names another folder, or the folder is not a sweep's.
     """
     if not words or "=" in words[0] or words[0] in files("sweeps"):
         return words
@@ -116,7 +103,7 @@ def _words_of_folder(words: list[str]) -> list[str]:
         raise InputError(what, where=str(folder), remedy=remedy)
     spec = read_spec(folder)
     changed = {word.partition("=")[0] for word in words[1:]}
-    # Another option of a group takes the settings away that were given for the former option.
+    # A different option of a group drops the recorded settings of the former option.
     groups = tuple(f"{key}." for key in changed if "." not in key)
     kept = [word for word in spec["overrides"] if word.partition("=")[0] not in changed]
     kept = [word for word in kept if not word.lstrip("+").startswith(groups)]

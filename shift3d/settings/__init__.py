@@ -1,1 +1,1 @@
-"""Settings: composed by Hydra, checked by a typed schema, turned into objects by plain functions."""
+"""Settings: Hydra composes them, a typed schema checks them, plain functions turn them into objects."""

@@ -1,4 +1,4 @@
-"""What `shift3d frontier` measures: the section ``frontier`` of sweeps/accuracy_time.yaml, typed and expanded."""
+"""Settings of `shift3d frontier`: the section ``frontier`` of sweeps/accuracy_time.yaml, typed and expanded."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ _CROP = "crop_m"
 
 
 class MeasuredSetting(Record):
-    """One setting, or one line of the diagram where ``over`` has values.
+    """One measured setting, or one line of the diagram if ``over`` lists values.
 
-    name: unique; with ``over``, "{}" in it is where the value goes. method: the line it belongs to. preset: what it
-    starts from; a setting called like its preset is that preset as it ships. render: overrides of
-    ``accuracy.render``. over: one of these settings, or crop_m, and its values. detector: precision in the search;
-    null: the preset's. crop_m: how far around the vehicle the detector looks at proposals; null: the whole scene.
-    warm: start from the previous rendering of an attack on the shape or the pose; it is timed with all that the
-    gradient of that attack needs. gradient: a cold one is timed with what the gradient of the shape or the pose needs.
-    grid: with an SDF grid of the shape, as tasks have one of each vehicle. incremental: where it is warm, let the
-    detector reuse what it computed for the previous rendering. displaced: render the adversarially displaced shape too.
-    steps: attack steps that are timed on a case. attack_steps: length of attacks, one on the shape and one on the pose,
-    whose scores the table has; 0: none. bfloat16: left out where the processor has no instructions for it.
+    name: unique name; with ``over``, the value replaces "{}". method: line of the diagram. preset: base preset; a
+    setting named like its preset is the shipped preset. render: overrides of ``accuracy.render``. over: one setting of
+    ``accuracy.render``, or crop_m, and its values. detector: precision of the detector in the search; null: the
+    preset's. crop_m: radius around the vehicle within which the detector computes proposals; null: the whole scene.
+    warm: start from the previous rendering of an attack on the shape or the pose, timed with everything that this
+    attack's gradient needs. gradient: time a cold rendering with everything that the gradient of the shape or the pose
+    needs. grid: use an SDF grid of the shape, as tasks do. incremental: let a warm detector reuse its results for the
+    previous rendering. displaced: also render the adversarially displaced shape. steps: attack steps timed per case.
+    attack_steps: length of two attacks, on the shape and on the pose, whose scores go to the table; 0: no attacks.
+    bfloat16: skip the setting on processors without bfloat16 instructions.
     """
 
     name: str
@@ -50,20 +50,20 @@ class MeasuredSetting(Record):
 
 
 class MeasuredCase(Record):
-    """One vehicle at one distance, in the first scene that has room for it there."""
+    """One vehicle at one distance, in the first scene with room for the vehicle at this distance."""
 
     vehicle: str
     range_m: Positive
 
 
 class FrontierConfig(Record):
-    """What is measured, on what, and how often.
+    """Measured settings, cases, and numbers of repeats.
 
-    within_m: how far from its distance a vehicle may stand. min_object_points: fewest returns on it. descent_steps:
-    of the attack that makes the displaced shape. warm_steps: renderings in a row before a warm one is looked at.
-    repeats: most timings of a setting on a case. seconds: these timings end after so long. slow_s: what takes longer
-    is timed by the one rendering that its errors are taken from. kitti: folder with training/, a second set of
-    scenes. quick: settings of ``--quick``, and how many cases, the farthest first.
+    within_m: tolerance of a vehicle's distance. min_object_points: minimum number of returns on a vehicle.
+    descent_steps: steps of the attack that displaces the shape. warm_steps: consecutive renderings before a warm
+    rendering is measured. repeats: most timings of a setting on a case. seconds: time limit of these timings. slow_s: a
+    slower rendering is timed once, together with its errors. kitti: folder that holds training/, a second scene set.
+    quick: names of the settings of ``--quick``. quick_cases: number of its cases, the farthest first.
     """
 
     settings: Annotated[list[MeasuredSetting], Field(min_length=1)]
@@ -81,7 +81,7 @@ class FrontierConfig(Record):
 
 
 class FrontierSweep(Config):
-    """Everything of a sweep, and the section ``frontier``."""
+    """Settings of a sweep plus the section ``frontier``."""
 
     frontier: FrontierConfig
 
@@ -97,7 +97,7 @@ class FrontierSweep(Config):
 
 
 def validate_frontier(values: Values, where: str) -> FrontierSweep:
-    """Check composed settings. Raises InputError naming the field and what it may be."""
+    """Check composed settings. Raises: InputError naming the wrong field and its valid values."""
     try:
         return FrontierSweep.model_validate(values)
     except ValidationError as error:
@@ -105,10 +105,10 @@ def validate_frontier(values: Values, where: str) -> FrontierSweep:
 
 
 def expand_settings(config: FrontierConfig) -> list[tuple[MeasuredSetting, AccuracyConfig]]:
-    """Settings with ``over`` written out, and each one's accuracy, in the file's order.
+    """Expand ``over`` to single settings; return each with its accuracy, in the file's order.
 
-    Raises: InputError: two settings of one name, an override that the renderer does not have or cannot take, a name
-    without a place for its value, or a name in ``quick`` that is none.
+    Raises: InputError: a duplicate name, an invalid override of the renderer, a name without "{}", or an unknown name
+    in ``quick``.
     """
     where, found = "frontier.settings", []
     for setting in config.settings:

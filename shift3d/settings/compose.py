@@ -1,4 +1,4 @@
-"""A sweep file and overrides, composed by Hydra once, with the axes that the sweep runs over."""
+"""Composition of a sweep file and overrides by Hydra, once per sweep, with the axes of the sweep."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ from shift3d.settings.schema.config import Config
 Values = dict[str, Any]
 _SMALL = "small"
 _MERGED = ("effects",)
-"""Groups of which several options can be chosen together."""
+"""Config groups that allow several options together."""
 
 
 @dataclass(frozen=True)
 class Axis:
     """One axis of a sweep.
 
-    key: a setting (``attack.lambda``) or a config group (``vehicle``). texts: its values as Hydra spells
-    them. values: for a setting the value, for a group the whole settings of that option. is_group: which
-    of the two.
+    key: a setting (``attack.lambda``) or a config group (``vehicle``). texts: values as Hydra writes them. values: of a
+    setting, its values; of a group, all settings of each option. is_group: True if `key` is a config group.
     """
 
     key: str
@@ -40,7 +39,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Composed:
-    """A sweep before its axes are expanded. base: the settings with each axis at its first value."""
+    """Composed sweep before the expansion of its axes. base: settings with each axis at its first value."""
 
     name: str
     overrides: tuple[str, ...]
@@ -49,15 +48,15 @@ class Composed:
 
 
 def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) -> Composed:
-    """Compose a sweep file with overrides, once, whatever the number of tasks.
+    """Compose a sweep file with overrides, once for all tasks.
 
-    An override with several values (``vehicle=coupe,suv``) is an axis, and replaces the sweep file's axis of
-    the same key in its place; the order is Hydra's own multirun order. ``size=small`` stands for the overrides that
-    the sweep's file lists under ``small``; those that are given come after them. own: a file of the folder where the
-    command runs comes first; False: of a sweep that ships, as where a command reads its settings from one unasked.
+    An override with several values (``vehicle=coupe,suv``) is an axis and replaces the sweep file's axis of the same
+    key; axes keep Hydra's multirun order. ``size=small`` inserts the overrides that the sweep file lists under
+    ``small``; the given overrides follow and win. own: a sweep file in the current folder wins over the shipped file;
+    False: use the shipped file, as for commands whose sweep the user did not name.
 
-    Raises: InputError: unknown sweep, group, option or setting; an unreadable or empty override; a continuous axis; a
-    small size of a sweep that has none.
+    Raises: InputError: unknown sweep, group, option or setting; unreadable or empty override; continuous or shuffled
+    axis; no small size.
     """
     where = f"sweep {name}"
     sweeps = files("sweeps") if own else {name: shipped("sweeps") / f"{name}.yaml"}
@@ -65,7 +64,7 @@ def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) ->
         raise messages.choice_error("sweep", name, sweeps, "sweeps/", looked_in("sweeps"))
     for key, equals, value in (override.partition("=") for override in overrides):
         if equals and not value.strip():
-            raise empty_error(key, where)  # a setting that is a text would take it
+            raise empty_error(key, where)  # a text setting would accept the empty value
     compose, parse = _hydra(sweeps[name], where)
     stated, params = compose([])
     axes_stated = [f"{key}={value}" for key, value in params.items()]
@@ -88,12 +87,11 @@ def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) ->
             values = tuple(parse([f"{key}={text}"])[0].value() for text in texts)
         _refuse_interpolations(list(values), where, key)
         axes.append(Axis(key, tuple(texts), values, is_group))
-    # Groups first, as in Hydra, where a setting given by name wins over the option that it belongs to.
     return Composed(name, tuple(overrides), base, tuple(axes))
 
 
 def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
-    """The overrides that the small size of a sweep stands for; none where it is not asked for."""
+    """Return the overrides of a sweep's small size; [] without ``size=small``."""
     sizes = [override for override in requested if override.get_key_element() == "size"]
     if any(override.is_sweep_override() for override in sizes):
         raise InputError("size cannot be an axis", where=where, remedy="Give it one value")
@@ -102,7 +100,7 @@ def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
     if not isinstance(listed, dict) or not listed:
         remedy = "Cut it by hand, as with scenes.count=4"
         raise InputError("it has no small size", where=where, remedy=remedy)
-    # A text is written as in an override, where 1,10 are two values; the others as YAML and Hydra both have them.
+    # A text is written as in an override, where 1,10 is two values; JSON of other values is valid YAML and Hydra.
     texts = text_settings(Config)
     return [
         quoted(f"{key}={value}", texts) if isinstance(value, str) else f"{key}={json.dumps(value)}"
@@ -111,7 +109,7 @@ def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
 
 
 def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
-    """Two functions: overrides to plain settings, with the axes that the file states, and texts to parsed overrides."""
+    """Return two functions: overrides to (plain settings, axes of the file), and texts to parsed overrides."""
     from hydra import compose, initialize_config_dir
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from omegaconf import OmegaConf
@@ -127,12 +125,12 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
             values = OmegaConf.to_container(OmegaConf.masked_copy(config, own))
             return values, OmegaConf.to_container(axes) if axes else {}
 
-        # Exception: Hydra has errors of its own, and lets YAML's, and many a ValueError and TypeError, through.
+        # Exception: Hydra raises errors of its own and passes on YAML errors, ValueErrors and TypeErrors.
         try:
             return plain(overrides)
         except Exception as error:
             known = chosen = None
-            with contextlib.suppress(Exception):  # a file that cannot be read is no better without overrides
+            with contextlib.suppress(Exception):  # an unreadable file also fails without overrides
                 known = chosen = plain([])[0]
                 chosen = plain([text for text in overrides if "." not in text.partition("=")[0]])[0]
             raise messages.from_hydra(error, where, known, chosen, _Groups().get_group_options) from error
@@ -140,7 +138,7 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
     def parse(texts: Sequence[str]) -> Any:
         parser = OverridesParser.create(config_loader=_Groups())  # type: ignore[arg-type]
         parsed = []
-        for text in texts:  # one at a time: the error names it
+        for text in texts:  # one at a time, so that the error names the override
             try:
                 parsed += parser.parse_overrides([text])
             except Exception as error:
@@ -152,9 +150,9 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
 
 
 def _search_path() -> list[str]:
-    """Where Hydra looks for groups, and then for sweeps that a sweep is made of, quoted for its grammar.
+    """Return Hydra's search path for groups and for sweeps that a sweep includes, quoted for Hydra's grammar.
 
-    Raises: InputError: another program's settings stand where shift3d's own would be taken from.
+    Raises: InputError: the current folder has another program's conf/config.yaml, which would replace shift3d's.
     """
     folders = [folder.absolute() for folder in [*places("conf"), *places("sweeps")] if folder.is_dir()]
     own, theirs = folders[0] / "config.yaml", shipped("conf") / "config.yaml"
@@ -165,15 +163,14 @@ def _search_path() -> list[str]:
 
 
 class _Groups:
-    """What Hydra asks to expand ``glob()``: the options of a group. What begins with _ is what they have in common."""
+    """Config loader for Hydra's ``glob()``: lists the options of a group, without shared files that begin with _."""
 
     def get_group_options(self, group_name: str, *_: object, **__: object) -> list[str]:
         return list(files(f"conf/{group_name}"))
 
 
 def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], list[str]]:
-    """Parsed overrides to (axis key to texts, fixed overrides), later ones replacing earlier ones of a
-    key."""
+    """Split parsed overrides into (axis key to texts, fixed overrides). A later override of a key wins."""
     axes: dict[str, list[str]] = {}
     fixed: dict[str, str] = {}
     for override in parsed:
@@ -202,7 +199,7 @@ def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], lis
 
 
 def _check_options(group: str, override: Any, where: str) -> None:
-    """Hydra says of ``effects=null`` and ``effects=[3]`` neither what was wrong nor what there is."""
+    """Check the options of a group: Hydra's errors for ``effects=null`` or ``effects=[3]`` name no cause or options."""
     from hydra.core.override_parser.types import QuotedString
 
     if not group:
@@ -225,13 +222,15 @@ def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:
         for value in values:
             _refuse_interpolations(value, where, path)
     elif isinstance(values, str) and "${" in values:
-        # An interpolation could depend on an axis, and the composition is done once for all tasks.
+        # An interpolation could depend on an axis, but Hydra composes once for all tasks.
         raise InputError(f"{path} holds an interpolation", where=where, remedy="Write the value itself")
 
 
 def validate(values: Values, where: str, axes: Sequence[str] = ()) -> Config:
-    """Check settings against the schema. axes: groups of which the sweep has several options, where no setting of one
-    can be given. Raises InputError naming the field and what it may be."""
+    """Check settings against the schema. Raises: InputError naming the wrong field and its valid values.
+
+    axes: groups that are axes of the sweep, where the command cannot give a setting of one option.
+    """
     if not isinstance(values, dict):
         raise InputError(f"the settings are a {type(values).__name__}", where=where, remedy="Write NAME: VALUE lines")
     if lacking := [name for name, field in Config.model_fields.items() if field.is_required() and name not in values]:
@@ -252,7 +251,7 @@ def validate(values: Values, where: str, axes: Sequence[str] = ()) -> Config:
 
 
 def leaves(values: Values, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every single setting with its path, as ``attack.steps``; a list is one."""
+    """Yield every setting with its path, such as ``attack.steps``. A list counts as one setting."""
     for key, value in values.items():
         if isinstance(value, dict):
             yield from leaves(value, f"{prefix}{key}.")

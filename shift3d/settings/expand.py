@@ -1,4 +1,4 @@
-"""Axes to tasks' settings, in plain Python, in the order of Hydra's own multirun."""
+"""Expansion of a sweep's axes to settings of tasks, in Hydra's multirun order, without Hydra."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from shift3d.settings.schema.config import Config
 
 
 def expand(composed: Composed) -> Iterator[Config]:
-    """Checked settings of every combination; the last axis varies fastest, as in Hydra's BasicSweeper.
+    """Yield checked settings of every combination. The last axis varies fastest, as in Hydra's BasicSweeper.
 
-    Raises: InputError: a combination that the schema refuses, or settings of the runner or tracking as an axis.
+    Raises: InputError: the schema refuses a combination, or a setting of the runner or tracking is an axis.
     """
     where = f"sweep {composed.name}"
     for axis in composed.axes:
@@ -22,7 +22,7 @@ def expand(composed: Composed) -> Iterator[Config]:
     if not composed.axes:
         yield validate(composed.base, where)
         return
-    # Whole groups are put in place before single settings, whichever was named first, as Hydra does.
+    # As in Hydra, group options apply before single settings, whatever the order of the overrides.
     groups = [axis.key for axis in composed.axes if axis.is_group]
     order = sorted(range(len(composed.axes)), key=lambda i: not composed.axes[i].is_group)
     for combination in itertools.product(*(range(len(axis.values)) for axis in composed.axes)):
@@ -34,7 +34,7 @@ def expand(composed: Composed) -> Iterator[Config]:
 
 
 def _put(values: Values, key: str, value: object) -> None:
-    """Set a value, in copies of what holds it: combinations share everything that no axis changes."""
+    """Set a value in copies of its parent dictionaries: combinations share everything that no axis changes."""
     *parents, leaf = key.split(".")
     for parent in parents:
         inner = dict(values[parent])

@@ -1,4 +1,4 @@
-"""One clear line for every way in which settings can be wrong."""
+"""One-line error messages for wrong settings."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from shift3d.errors import InputError
 from shift3d.settings.folders import files, looked_in, shipped, shown
 from shift3d.settings.renamed import renamed_error
 
-# Groups whose kind pydantic puts into the path of a field.
+# Groups with a discriminated union, whose tag pydantic inserts into field paths.
 _UNIONS = ("scenes", "vehicle", "naturalness", "runner", "tracking")
 
 
 def choice_error(what: str, value: str, allowed: Iterable[str], where: str, looked: str = "") -> InputError:
-    """The error for an unknown name: ``Did you mean 'suv'? One of: coupe, suv`` (the first where something is close).
+    """Return the error for an unknown name: ``Did you mean 'suv'? One of: coupe, suv`` (a hint only if one is close).
 
-    looked: where it was looked for, as :func:`~.folders.looked_in` has it.
+    looked: searched folders, from :func:`~.folders.looked_in`.
     """
     names = list(allowed)
     close = difflib.get_close_matches(value, names, n=1, cutoff=0.5)
@@ -30,15 +30,15 @@ def choice_error(what: str, value: str, allowed: Iterable[str], where: str, look
 
 
 def from_validation(error: ValidationError, where: str, values: Mapping[str, Any] | None = None) -> InputError:
-    """The first failure of a pydantic validation, naming the field, what it may be, and the remedy.
+    """Convert the first failure of a pydantic validation to an error with field, valid values and remedy.
 
-    values: what was validated, for the names of the fields beside an unknown one.
+    values: the validated settings, for the names of the fields beside an unknown field.
     """
     first = error.errors(include_url=False)[0]
-    # A discriminated union puts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
+    # A discriminated union inserts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
     path = [str(part) for part in first["loc"]]
     field = ".".join(part for i, part in enumerate(path) if not (i == 1 and path[0] in _UNIONS))
-    # So does a union of plain types, at its end: 'accuracy.render.solver.bool'.
+    # A union of plain types appends the type: 'accuracy.render.solver.bool'.
     field = re.sub(r"\.(bool|int|float|str|none|constrained-\w+|(list|tuple|dict)\[.*)$", "", field)
     value, kind = first["input"], first["type"]
     if value == "???" or kind == "missing":
@@ -57,7 +57,7 @@ def from_validation(error: ValidationError, where: str, values: Mapping[str, Any
         return choice_error(f"{field}.kind", str(first["ctx"]["tag"]), tags_text, where)
     if kind == "model_type":
         return InputError(f"{field} cannot be set as a whole", where, f"Set {field}.NAME=VALUE")
-    if kind == "value_error":  # a rule between several fields: it says which, and what to do where it knows
+    if kind == "value_error":  # a rule between fields: its message names them, and may have a remedy
         error_text, *remedies = first["ctx"]["error"].args
         message = error_text if field in ("", where) else f"{field}: {error_text}"
         return InputError(message, where, *remedies or ["Change one of them"])
@@ -67,7 +67,7 @@ def from_validation(error: ValidationError, where: str, values: Mapping[str, Any
 
 
 def _shown(value: object) -> str:
-    """A value as it was written, cut where it is long."""
+    """Format a value, cut at 120 characters."""
     text = repr(value)
     return text if len(text) <= 120 else f"{text[:120]}..."
 
@@ -79,13 +79,13 @@ def from_hydra(
     chosen: Mapping[str, Any] | None,
     options: Callable[[str], Sequence[str]],
 ) -> InputError:
-    """Hydra's message in our form: what, the names that exist, and the nearest one.
+    """Convert an error of Hydra to an InputError with the valid names and the nearest of them.
 
-    Args: config: the settings without any override, for the names of fields. chosen: those of the groups' options that
-    the overrides choose. options: of a group, by its name.
+    config: settings without overrides, for field names. chosen: settings with the group options that the overrides
+    choose. options: function from a group's name to its options.
     """
     text = str(error)
-    # Of one option Hydra says that it did not find it, of one in a list that it could not load it.
+    # Hydra's message is "Could not find" for a single option and "Could not load" for an option in a list.
     if match := re.search(r"Could not (?:find|load) '([^']+)'", text):
         group, _, name = match.group(1).rpartition("/")
         if (renamed := renamed_error(group, name)) is not None:
@@ -108,7 +108,7 @@ def from_hydra(
 
 
 def _siblings(key: str, config: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings beside an unknown one, by their paths: of the innermost of its parents that exists."""
+    """Return the settings beside an unknown one, path to value, in its innermost existing parent."""
     prefix = ""
     for part in key.split(".")[:-1]:
         if not isinstance(config.get(part), Mapping):
@@ -118,7 +118,7 @@ def _siblings(key: str, config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _options_having(key: str) -> list[str]:
-    """Options of a setting's group whose files set it: scenes=kitti for scenes.root."""
+    """List the options of a setting's group whose files have the setting, such as scenes=kitti for scenes.root."""
     group, _, name = key.partition(".")
     own = re.compile(rf"^{re.escape(name)}:", re.MULTILINE)
     found = files(f"conf/{group}") if (shipped("conf") / group).is_dir() else {}

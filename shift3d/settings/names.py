@@ -1,8 +1,7 @@
-"""Settings that are texts: a number that is given for one is a name (an epoch, a frame, a folder), and stays as it was
-written.
+"""Text settings: digits given for an epoch, frame or folder stay a text exactly as written.
 
-Hydra and YAML read ``vehicle.checkpoint=2000`` as a number, ``vehicle.name=1e5`` as 100000.0, and the quotes that would
-say otherwise are the shell's.
+Without this, Hydra and YAML read ``vehicle.checkpoint=2000`` as a number and ``vehicle.name=1e5`` as 100000.0; the
+shell removes quotes that would prevent it.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ _NUMBER = re.compile(r"(?<![^\s=,\[])[-+]?[\d._]+(?:[eE][-+]?\d+)?(?![^\s,\]])")
 
 
 def _as_text(value: object) -> object:
-    """A whole number as the text that it was; what else there is the schema judges."""
+    """Convert an integer to text; the schema checks all other values."""
     return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
 Text = Annotated[str, BeforeValidator(_as_text)]
-"""A text setting of the schema."""
+"""Type of a text setting in the schema."""
 
 
 def _refuse_number(value: object) -> object:
@@ -37,12 +36,12 @@ def _refuse_number(value: object) -> object:
 
 
 Name = Annotated[str, BeforeValidator(_refuse_number)]
-"""A name of the schema in a list, where YAML would take its digits for a number: 010 for 8, 2023_10_05 for 20231005."""
+"""Type of a name in a list. YAML reads unquoted digits as a number: 010 as 8, 2023_10_05 as 20231005."""
 
 
 @functools.cache
 def text_settings(model: type[BaseModel]) -> frozenset[str]:
-    """Paths of the settings of a schema that are texts or lists of texts."""
+    """Return the paths of a schema's settings that are texts or lists of texts."""
     found = set()
     for name, field in model.model_fields.items():
         key = field.alias or name
@@ -55,7 +54,7 @@ def text_settings(model: type[BaseModel]) -> frozenset[str]:
 
 
 def _kinds(annotation: Any) -> list[Any]:
-    """The types that a value may be of, lists by their items."""
+    """List the types that an annotation allows; a list type counts as its item types."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is Annotated:
         return _kinds(arguments[0])
@@ -65,7 +64,7 @@ def _kinds(annotation: Any) -> list[Any]:
 
 
 def quoted(override: str, texts: Collection[str]) -> str:
-    """An override with the numbers in quotes where its setting is one of some texts."""
+    """Quote the numbers of an override if its setting is in `texts`."""
     key, equals, value = override.partition("=")
     if key.lstrip("+") not in texts or "'" in value or '"' in value:
         return override

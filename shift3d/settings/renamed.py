@@ -1,4 +1,4 @@
-"""Older names of settings: refused with the valid name, read from older folders."""
+"""Older names of settings: refused on the command line with the valid name, accepted in older sweep folders."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _GONE_VALUES = {
 
 
 def renamed_error(key: str, value: Any = None) -> InputError | None:
-    """The error for an older setting, by its whole name, or for an older value of one; None for any other."""
+    """Return the error for an older setting, by its full name, or for an older value; None for all others."""
     if key in _NAMES:
         return InputError(f"{key} is called {_NAMES[key].rpartition('.')[2]}", remedy=f"Write {_NAMES[key]}=VALUE")
     if key in _GONE:
@@ -48,10 +48,7 @@ def renamed_error(key: str, value: Any = None) -> InputError | None:
 
 
 def current_settings(values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """A task's settings of the renderer, of this or an older program, by the valid names.
-
-    Raises: InputError: a solver that is gone.
-    """
+    """Convert stored renderer settings of any version to the valid names. Raises: InputError: a removed solver."""
     found = {
         _NAMES.get(_RENDER + name, _RENDER + name).removeprefix(_RENDER): value
         for name, value in values.items()

@@ -1,1 +1,1 @@
-"""One command a file."""
+"""Subcommands of ``shift3d``, one per file."""

@@ -1,4 +1,4 @@
-"""``shift3d compact``: a sweep's many small files as few."""
+"""``shift3d compact``: merge the many small files of a sweep into few."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``shift3d effects``: the measured impact of each effect, from a sweep that ran with and without it."""
+"""``shift3d effects``: measure the impact of each effect, from a sweep that ran with and without the effect."""
 
 from __future__ import annotations
 
@@ -30,10 +30,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _measured(path: Path) -> dict[str, float]:
-    """Effect to milliseconds, of a benchmark's results.
-
-    Raises: InputError: a file that holds none.
-    """
+    """Load milliseconds per effect from a benchmark's results. Raises: InputError: no readable effects in the file."""
     import json
 
     remedy = 'Make it: make bench ARGS="-k effects"'

@@ -1,4 +1,4 @@
-"""``shift3d fit``: vehicles of the user's own, from meshes, for sweeps."""
+"""``shift3d fit``: make vehicles for sweeps from the user's meshes."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _doubts(fit: MeshFit, frame: MeshFrame, out: Path) -> list[str]:
-    """What a user should look at before a sweep inserts the vehicle."""
+    """Return warnings that the user should check before a sweep inserts the vehicle."""
     doubts = []
     if fit.better:
         other, chamfer_m = fit.better

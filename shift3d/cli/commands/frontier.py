@@ -1,4 +1,4 @@
-"""``shift3d frontier``: what accuracy costs in time."""
+"""``shift3d frontier``: measure run time against accuracy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from shift3d.settings.accuracy_time import FrontierSweep
 
 _NAME = "accuracy_time"
-_WINDOW_M = 12.0  # of the truth's detector: wider than any setting's but the whole scene's
+_WINDOW_M = 12.0  # detector window of the ground truth: wider than the window of any setting, whole scenes excepted
 _KITTI_FRAMES = 30
 _QUICK_REPEATS = 3
 
@@ -66,7 +66,7 @@ def _run(arguments: argparse.Namespace) -> int:
     config = _config(words)
     check_tracking(config.tracking)
     plan, left_out = plan_of(config, arguments.only, arguments.quick)
-    # A part of the frontier must not take the place of the whole one.
+    # A partial frontier must not overwrite the full one.
     part = "-part" if arguments.only else "-quick" if arguments.quick else ""
     folder = writable_folder(str(out[-1]) if out else f"outputs/frontier{part}")
     for name in left_out:
@@ -95,9 +95,9 @@ def _config(words: list[str]) -> FrontierSweep:
 
 
 def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[FrontierPlan, list[str]]:
-    """What is measured, and the names of settings that this processor is no match for.
+    """Return the plan, and the names of settings left out for lack of bfloat16 instructions.
 
-    Raises: InputError: a pattern that is none, or that no setting's name matches.
+    Raises: InputError: an invalid pattern, or no setting left to measure.
     """
     from shift3d.accuracy_time.drive import FrontierPlan
     from shift3d.accuracy_time.run import Repeats
@@ -143,7 +143,7 @@ def _matches(pattern: str | None, name: str) -> bool:
 
 
 def _setting(setting: Any, accuracy: Any) -> Setting:
-    """From the schema's setting to the plain one."""
+    """Convert a setting of the schema to a plain `Setting`."""
     from shift3d.accuracy_time.settings import Setting
     from shift3d.settings.catalogue.reading import accuracy_settings
 
@@ -164,7 +164,7 @@ def _preset(name: Any, crop_m: float) -> Setting:
 
 
 def groups_of(config: FrontierSweep) -> list[SceneGroup]:
-    """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
+    """Return the sweep's scenes, and KITTI frames if requested. Raises: InputError: a folder without frames."""
     from shift3d.accuracy_time.drive import SceneGroup
     from shift3d.settings.catalogue.detector_files import detector_layouts
     from shift3d.settings.schema.scenes import KittiConfig, scene_set
@@ -203,7 +203,6 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
 
 
 def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: bool) -> None:
-    """Measure, write the table and its report, print them."""
     from shift3d.accuracy_time.drive import measure_frontier
     from shift3d.accuracy_time.rows import frontier_rows
     from shift3d.accuracy_time.timing import machine
@@ -217,12 +216,12 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
     what = f"{counted(len(plan.settings), 'setting')} on {counted(cases, 'case')}"
     print(f"{what}, about {round(expected_s / 60)} min on a quiet core without bfloat16")
     print(f"writing to {folder}", flush=True)
-    # In seconds of expected work, as its pieces take from a second to minutes.
+    # The bar counts expected seconds: one measurement takes a second to minutes.
     shown = "{percentage:3.0f} %|{bar}| {elapsed}<{remaining}{postfix}"
     with progress_bar(slow_s=30.0, total=expected_s, bar_format=shown, smoothing=0.0) as bar:
 
         def tell(name: str, seconds: float, known: bool) -> None:
-            """Name what is under way, and count what is done; what was known before takes no part in the speed."""
+            """Show the current measurement and add its expected seconds; known measurements do not count as speed."""
             bar.set_postfix_str(name, refresh=sys.stderr.isatty() and not known)
             if known:
                 bar.initial += seconds

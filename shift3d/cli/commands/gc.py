@@ -1,4 +1,4 @@
-"""``shift3d gc``: remove what no reader of a sweep's folder looks at."""
+"""``shift3d gc``: remove files of a sweep's folder that no reader uses."""
 
 from __future__ import annotations
 
@@ -27,17 +27,14 @@ OUT = "output folder of a sweep, or its URL"
 
 
 def dry_run(done: str, do: str) -> Callable[[argparse.ArgumentParser], object]:
-    """The option that says what would be done, and does nothing."""
+    """Return a function that adds the option --dry-run. done, do: participle and infinitive of the command's verb."""
     return lambda parser: parser.add_argument(
         "--dry-run", action="store_true", help=f"say what would be {done}, and {do} nothing"
     )
 
 
 def sweeps_in(out: str) -> list[Location]:
-    """A sweep's folder, and those of its verification, patterns and retrievals, which are sweeps themselves.
-
-    Raises: InputError: it is no sweep's folder.
-    """
+    """Return a sweep's folder and those of its verification, patterns and retrievals. Raises: InputError: no sweep."""
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec
     from shift3d.sweep.retrieval import FOLDER as RETRIEVALS

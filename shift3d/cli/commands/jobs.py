@@ -1,4 +1,4 @@
-"""``shift3d jobs``: the launch specs that there are, and their text."""
+"""``shift3d jobs``: list the launch specs, or print one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ examples:
 
 
 def _names(prefix: str = "", **_: Any) -> list[str]:
-    """Names of the specs, as tab completion asks for them."""
     return [name for name in files("jobs", "*") if name.startswith(prefix)]
 
 
@@ -50,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _summary(path: Path) -> str:
-    """The first sentence of a spec's comment, in which it says what it is."""
+    """Return the first sentence of a spec's leading comment, which describes the spec."""
     lines = path.read_text(errors="replace").splitlines()
     comment = next((line for line in lines if line.startswith("# ")), "")
     return comment.removeprefix("# ").split(". ")[0]

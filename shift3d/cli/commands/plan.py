@@ -1,4 +1,4 @@
-"""``shift3d plan``: what a sweep would run."""
+"""``shift3d plan``: show the tasks that a sweep would run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ examples:
 
 
 def add_tasks(parser: argparse.ArgumentParser, when: str = "") -> None:
-    """The options that list tasks and places. when: said before what they do."""
+    """Add the options that list tasks and places. when: prefix of their help texts."""
     parser.add_argument("--tasks", action="store_true", help=f"{when}list every task, with its id")
     parser.add_argument("--places", action="store_true", help=f"{when}count the places of each scene, up to 20 scenes")
 
@@ -46,11 +46,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places: bool = False) -> int:
-    """Print what a sweep of a kind of task would run. sweep_words: those of the command. tasks: list each of them.
+    """Print the plan of a sweep. Raises: InputError: the sweep command would refuse the words as well.
 
-    places: count those of each scene.
-
-    Raises: InputError: the sweep itself would be refused.
+    sweep_words: words of the command. tasks: list every task. places: count the places of each scene.
     """
     from shift3d.analysis.forecast import expected_lines
     from shift3d.analysis.mlflow.store_uri import check_tracking
@@ -62,7 +60,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
 
     timings, rest = words.take_folders("timings", sweep_words)
     for other in timings:
-        read_spec(other)  # as read_words does with reuse=
+        read_spec(other)  # refuses a folder that is not a sweep's, as read_words does for reuse=
     request = words.read_words(rest)
     if request.out:
         request.out.check_writable()
@@ -87,12 +85,12 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
 
 
 def show_places(plan: Plan, config: Config, most: int = 20) -> None:
-    """Print how many places each scene has for a car, and what refuses the others, by the first task's settings."""
+    """Count places for a car in up to `most` scenes, and the reasons against others, by the first task's settings."""
     from shift3d.settings.schema.scenes import scene_set
     from shift3d.task.places import place_lines
 
     scenes, where = scene_set(config.scenes), plan.tasks[0].spec.placement
-    known = set(scenes.names())  # an axis may be of several sets
+    known = set(scenes.names())  # an axis may hold several scene sets
     names = [name for _, name in plan.tasks.scenes() if name in known]
     print(f"places for a car, {counted(where.attempts, 'draw')} a scene:")
     for line in place_lines(scenes, names, where, most):

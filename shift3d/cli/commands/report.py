@@ -1,4 +1,4 @@
-"""``shift3d report``: a finished sweep as one page."""
+"""``shift3d report``: write the report page of a finished sweep."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ part on stability."""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    # A browser draws about 16 views in 3D at once; two are needed for a case.
+    # A browser draws about 16 views in 3D at once, and each case has two.
     parser.add_argument(
         "--cases", metavar="N", type=int, choices=range(1, 9), default=4, help="hard cases to show (default 4)"
     )

@@ -1,4 +1,4 @@
-"""``shift3d scenes``: what there is in a data set, and a picture of it."""
+"""``shift3d scenes``: list the scenes of a data set, or describe and draw one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _ACTIONS = ("list", "show")
 _WORDS = ("scene=", "scenes=", "scenes.", "attack.placement.")
-_SWEEP = "retrieval"  # of scenes it chooses the group alone: what the words do not say is as conf/scenes has it
+_SWEEP = "retrieval"  # of the scene settings this sweep sets the group alone: conf/scenes gives the other defaults
 
 _DESCRIPTION = """\
 list prints the names of the scenes that settings describe; show prints what was found in one of them (scene=NAME,
@@ -35,7 +35,7 @@ examples:
 
 
 def scenes_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_: Any) -> list[str]:
-    """Completions of a word after ``shift3d scenes``: list, show, then settings of scenes."""
+    """Complete a word after ``shift3d scenes``: list, show, then settings of scenes."""
     if not list(getattr(parsed_args, "words", None) or []) and "=" not in prefix:
         return [word for word in _ACTIONS if word.startswith(prefix)]
     known = overrides(prefix)
@@ -57,7 +57,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _config(words: Sequence[str]) -> Config:
-    """The settings of a sweep with these words; several values of one make no sense here."""
+    """Compose the settings for these words. Raises: InputError: a foreign word, or several values of a setting."""
     from shift3d.settings.compose import compose_sweep, validate
 
     foreign = [word for word in words if not word.startswith(_WORDS)]

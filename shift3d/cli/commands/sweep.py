@@ -1,4 +1,4 @@
-"""``shift3d sweep``: plan, run or resume, tables, MLflow."""
+"""``shift3d sweep``: plan, run or resume a sweep, print its tables and mirror it to MLflow."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.words[:1] == ["status"]:
-        return _status(arguments.words[1:])  # before what a sweep imports: it is polled
+        return _status(arguments.words[1:])  # before the slow imports of a sweep: users poll the status
     from shift3d.processor import configure_runtime
     from shift3d.sweep.planning.kind import shift3d_kind
 
@@ -79,7 +79,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
-    """Run the command with a kind of task."""
+    """Run the sweep command for a kind of task."""
     from shift3d.analysis.forecast import expected, limit_line
     from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
@@ -101,7 +101,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     if request.job and request.job.address and not arguments.task:
         return _submit(request, request.job.address, arguments.retry_quarantined)
     if request.out and not arguments.task:
-        request.out.check_writable()  # before scenes are looked at, which may take minutes
+        request.out.check_writable()  # checked before the scenes are read, which may take minutes
     plan, config = make_plan(compose_sweep(request.name, request.overrides), kind.catalogue)
     check_tracking(config.tracking)
     folder = request.out or default_folder(plan)
@@ -129,7 +129,6 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
 
 
 def _submit(request: Request, address: str, retry_quarantined: bool) -> int:
-    """Hand the sweep to a cluster's Jobs API."""
     from shift3d.settings.folders import own_folders
     from shift3d.sweep.execution.ray.job import submit_sweep
 
@@ -141,7 +140,7 @@ def _submit(request: Request, address: str, retry_quarantined: bool) -> int:
 
 
 def _status(words: list[str]) -> int:
-    """How a sweep is going. words: its output folder."""
+    """Print the progress of a sweep. words: the sweep's output folder."""
     from shift3d.sweep.status import read_status, status_lines
 
     if len(words) != 1:
@@ -151,7 +150,7 @@ def _status(words: list[str]) -> int:
 
 
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
-    """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
+    """Print the results of a sweep and mirror them to MLflow. Returns True if any vehicle found a place."""
     from shift3d.analysis.results import sweep_of
     from shift3d.analysis.tables.coverage import coverage_lines, nothing_placed, sweep_report, trial_caveat, unmoved
     from shift3d.analysis.tables.stability import stability_lines
@@ -176,7 +175,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
         print(line)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
     if unplaced or sweep.scores.empty:
-        pass  # there is nothing to verify
+        pass  # no solution to verify
     elif sweep.verification is not None:
         print(f"\n{stability_lines(sweep.verification)}\n")
     else:
@@ -186,7 +185,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
 
 
 def _show_effects(sweep: Sweep, folder: Location) -> None:
-    """The impact of effects, where the sweep ran the same tasks with them and without."""
+    """Print the impact of effects if the sweep ran the same tasks with and without effects."""
     variants = {request for group in sweep.plan.tasks.groups() for request in group.effects_requested}
     if "none" not in variants or len(variants) == 1:
         return

@@ -1,4 +1,4 @@
-"""``shift3d ui``: MLflow on loopback."""
+"""``shift3d ui``: serve MLflow on the loopback address."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What settings refer to: scenes, vehicles and detectors, with the hashes of their content."""
+"""Catalogue of the scenes, vehicles and detectors that settings refer to, with their content hashes."""

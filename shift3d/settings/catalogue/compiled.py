@@ -1,4 +1,4 @@
-"""ONNX files, held against the detectors that they were made from."""
+"""Comparison of ONNX files with the detectors that they were exported from."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ _done: dict[str, str] = {}
 
 
 def require_score_only(config: Config) -> None:
-    """Raises InputError where an ONNX file is to be searched along a gradient, which it does not give."""
+    """Refuse a gradient search on an ONNX file, which gives no gradient. Raises: InputError."""
     if config.detector.name == ONNX and (search := config.attack.search) not in ("evolution", "random"):
         what = f"attack.search={search} follows a gradient, and an ONNX file gives none"
         raise InputError(what, "detector=onnx", "Give attack.search=evolution, or random")
 
 
 def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Sequence[str]) -> str:
-    """What came of the comparison, in a line; it is made once for the same file, original and scenes.
+    """Compare an ONNX file with its original detector; return the result in one line.
 
-    names: of a sweep's scenes, the first three of which are looked at. Without an original, nothing is compared.
+    The process caches the result per file, original and scenes. Without an original, nothing is compared.
+    names: names of a sweep's scenes; the comparison uses the first three.
 
-    Raises: InputError where scores differ by more than 1e-3, see `agreement.require_agreement`; or the original cannot
-        be loaded.
+    Raises: InputError: scores differ by more than 1e-3 (see `agreement.require_agreement`), or no loadable original.
     """
     if config.original is None:
         return f"{config.file}: scores are compared with no original, as detector.original names none"
@@ -58,10 +58,10 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
 
 
 def compiled_network(name: str, weights: str | None) -> tuple[bytes, float]:
-    """A detector of shift3d as the content of an ONNX file, and by how much its scores differ on two streets.
+    """Export a detector of shift3d; return the bytes of the ONNX file and the largest score difference on two streets.
 
-    weights: a file, None: those that ship. Raises: InputError for weights that cannot be read, a network that has no
-        export, missing packages, or scores that differ by more than 1e-3.
+    weights: a file; None: the shipped weights. Raises: InputError: unreadable weights, a network without an export,
+        missing packages, or scores that differ by more than 1e-3.
     """
     from shift3d.detectors.compiled.agreement import require_agreement
     from shift3d.detectors.compiled.onnx_detector import onnx_detector

@@ -1,4 +1,4 @@
-"""Which detectors score a sweep, their files of weights and configs, and the hashes of what they are made of."""
+"""Detectors that score a sweep, their files of weights and configs, and their content hashes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from shift3d.settings.schema.config import DetectorConfig
 
 
 def weights_file(name: str, override: str | None) -> Path:
-    """A detector's file of weights: the one given, or the one that ships. Raises InputError where it is missing."""
+    """Return a detector's file of weights: `override` or the shipped file. Raises: InputError: the file is missing."""
     path = _weights_path(name, override)
     if not path.is_file():
         remedy = "Check the path" if override else f'Give a file of them, or: make train ARGS="model={name}"'
@@ -31,13 +31,12 @@ def _weights_path(name: str, override: str | None) -> Path:
 
 
 def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
-    """Detectors that score every solution, name to weights (None: those that ship), the attacked one first.
+    """Return the detectors that score every solution, name to weights (None: shipped), the attacked detector first.
 
-    Those that ``scored_by`` names; where it is null, those whose weights ship or are given, so that a detector
-    without weights stops nobody who did not ask for it. The small SST stands in for the published one then: where both
-    are there, it scores only what it is asked to.
+    ``scored_by`` names the detectors. With null, every detector with shipped or given weights scores, so that a
+    detector without weights stops no sweep that does not name it; ``sst_small`` then scores only if ``sst`` is missing.
 
-    Raises: InputError: weights of a detector that was asked for are missing, or a user's files are no detector.
+    Raises: InputError: weights of a named detector are missing, or a user's files form no detector.
     """
     weights = config.weights_by_name()
     others: list[str] = list(config.scored_by or ())
@@ -48,7 +47,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     layouts = detector_layouts(config)
     for name in names:
         detector_hash(name, weights.get(name), config.module, layouts.get(name))
-    for name in [name for name in names if name == OWN or weights.get(name)]:  # said before anything runs
+    for name in [name for name in names if name == OWN or weights.get(name)]:  # a wrong file fails before any task runs
         from shift3d.detectors.loading import detector_of
 
         detector_of(name, weights.get(name), config.module, "float32", layouts.get(name))
@@ -56,9 +55,9 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
 
 
 def detector_layouts(config: DetectorConfig) -> dict[str, dict[str, Any]]:
-    """What the config of a foreign detector says, by the detector's name, as plain values; nothing where none is asked.
+    """Read the layouts of foreign detectors from their config: detector's name to plain values; {} without a config.
 
-    Raises: InputError naming the config, and the value that is missing or not covered.
+    Raises: InputError naming the config and the missing or unsupported value.
     """
     if config.config is None:
         return {}
@@ -71,10 +70,9 @@ def detector_layouts(config: DetectorConfig) -> dict[str, dict[str, Any]]:
 
 
 def require_used(configs: Sequence[DetectorConfig], scoring: Sequence[str]) -> None:
-    """Refuse weights of a detector that scores nowhere in a sweep.
+    """Refuse weights of a detector that scores nowhere in a sweep. Raises: InputError naming the setting.
 
-    configs: what its values of an axis ask for. scoring: every detector that scores somewhere.
-    Raises: InputError naming the setting.
+    configs: detector settings of every value of the sweep's axes. scoring: every detector that scores somewhere.
     """
     used = {*scoring, *(config.original for config in configs)}
     for config in configs:
@@ -85,12 +83,10 @@ def require_used(configs: Sequence[DetectorConfig], scoring: Sequence[str]) -> N
 
 
 def detector_hash(name: str, weights: str | None, module: str | None, layout: Mapping[str, Any] | None = None) -> str:
-    """128-bit BLAKE2b of what a detector is made of, hex.
+    """Compute the 128-bit BLAKE2b content hash of a detector, hex. Raises: InputError: a file is missing.
 
-    Its weights, or its ONNX file; of the user's own, its Python file with its weights; of a foreign one, the layout
-    that its config describes with its weights.
-
-    Raises: InputError: a file is missing.
+    The hash covers the weights or the ONNX file; for the user's detector also the Python file, for a foreign detector
+    also the layout from its config.
     """
     if name == ONNX:
         return file_hash(_existing_file(weights or "", "Check detector.file"))
@@ -98,7 +94,7 @@ def detector_hash(name: str, weights: str | None, module: str | None, layout: Ma
         weights_hash = file_hash(weights_file(name, weights))
         if layout is None:
             return weights_hash
-        # The same however its config is written.
+        # Hash the layout, not the config file, so that formatting of the config does not matter.
         text = json.dumps(layout, sort_keys=True, separators=(",", ":")) + weights_hash
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
     remedy = "Check detector.module and detector.weights"
@@ -114,18 +110,16 @@ def _existing_file(text: str, remedy: str) -> Path:
 
 
 def file_hash(path: Path) -> str:
-    """128-bit BLAKE2b of a file's bytes, hex."""
+    """Compute the 128-bit BLAKE2b hash of a file's bytes, hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def require_in_grid(names: Sequence[str], sector_rad: tuple[float, float], range_m: float, shift_m: float) -> None:
-    """Refuse places beyond the grid of shipped detectors, where a task would find no cell to look at.
+    """Refuse places beyond the BEV grid of shipped detectors, where a detector has no cell. Raises: InputError.
 
-    names: of the detectors that score. sector_rad: (centre, half width) of the azimuths of places. range_m: how far
-    away they lie at most. shift_m: how far a search may move a vehicle from its place.
-
-    Raises: InputError naming the settings.
+    names: detectors that score. sector_rad: (centre, half width) of the placement azimuths. range_m: largest placement
+    range. shift_m: largest shift of a vehicle by the search.
     """
     shipped = [name for name in names if name in DETECTOR_NAMES]
     ahead = max(max(abs(math.cos(azimuth)), abs(math.sin(azimuth))) for azimuth in _azimuths(sector_rad))
@@ -142,13 +136,10 @@ def require_in_range(
     ranges_m: tuple[float, float],
     shift_m: float,
 ) -> None:
-    """Refuse foreign detectors whose grid leaves out places where vehicles are put or moved to: there they could only
-    miss.
+    """Refuse foreign detectors whose grid does not cover all reachable places, where they can only miss.
 
-    sector_rad: (centre, half width) of the azimuths of places. ranges_m: how far away they lie, least and most.
-    shift_m: how far a search may move a vehicle from its place.
-
-    Raises: InputError naming a place.
+    sector_rad: (centre, half width) of the placement azimuths. ranges_m: least and largest placement range. shift_m:
+    largest shift of a vehicle by the search. Raises: InputError naming a place.
     """
     for name, layout in layouts.items():
         grid, turned = layout["grid"], layout["frame"]["turned"]

@@ -1,4 +1,4 @@
-"""What there is to run on: scenes, vehicles and weights by name, with the hashes of their content."""
+"""Catalogue of a sweep: scenes, vehicles and weights by name, with their content hashes."""
 
 from __future__ import annotations
 
@@ -28,22 +28,21 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
     from shift3d.vehicles.sources import VehicleSource
 
-# Precision of the detector while it is descended; what was found is scored in float32 or better whatever this
-# says. bfloat16 changes the direction of a step and nothing that is reported. A processor without instructions for
-# it plans with float32, which is faster there; the plan says which, so that all workers of a sweep do the same.
+# Precision of the detector during the search. Results are always scored in float32 or better: bfloat16 changes the
+# direction of a step and no reported number. On a processor without bfloat16 instructions the plan takes float32, which
+# is faster there. The plan stores the precision, so that all workers of a sweep use the same.
 _SEARCH_PRECISION = {"draft": "bfloat16", "standard": "bfloat16", "paper": "float32", "reference": "float64"}
 
 
 @dataclass(frozen=True)
 class Catalogue:
-    """What a sweep's tasks refer to, by content.
+    """Inputs of a sweep's tasks, identified by content hashes (128-bit BLAKE2b, hex).
 
-    scene_arguments: how the scenes were made or chosen. sector_rad: (centre, half width) of the azimuths in
-    which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
-    detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
-    accuracy: every setting behind a preset's name. space_hash: (vehicle, config) to the hash of where its
-    search may go. skipped: scenes that cannot be read and are left out, name to why.
-    reference_hash: of what the reference set of naturalness is made from; empty: none. notes: lines that the plan says.
+    scene_arguments: settings that made or chose the scenes. sector_rad: (centre, half width) of the azimuths where the
+    scene set allows vehicles. vehicles: name to hash, computed on access. detectors: name to hash of the scoring
+    detectors, the attacked detector first. accuracy: every setting of the preset. space_hash: (vehicle, config) to the
+    hash of the search space. skipped: unreadable scenes that the sweep leaves out, name to reason. reference_hash: hash
+    of the source of the naturalness reference set; empty: no set. notes: lines that the plan prints.
     """
 
     scenes: tuple[SceneEntry, ...]
@@ -60,7 +59,7 @@ class Catalogue:
 
 
 def vehicle_source(values: Mapping[str, Any]) -> VehicleSource:
-    """The vehicles that plain settings describe, whatever their ``name``. Files are read when something is asked."""
+    """Create the vehicle source for plain settings; ``name`` is ignored. The source reads its files on first access."""
     from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
     from shift3d.vehicles.sources import VehicleSet
 
@@ -69,12 +68,10 @@ def vehicle_source(values: Mapping[str, Any]) -> VehicleSource:
 
 
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
-    """Every setting behind a preset, with its changes, as plain values (dtypes by name).
+    """Resolve a preset and its overrides to all settings as plain values (dtypes by name).
 
-    ``detector`` is the precision of the detector inside the search, the others are the renderer's.
-
-    Raises:
-        InputError: a setting that the renderer does not have, by its older name or at all, or a value it cannot take.
+    ``detector`` is the precision of the detector in the search; all other settings belong to the renderer. Raises:
+    InputError: an unknown or renamed setting of the renderer, or an invalid value.
     """
     from dataclasses import asdict
 
@@ -106,7 +103,7 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
 
 
 def _check_render(settings: dict[str, Any]) -> None:
-    """Refuse now what the renderer would refuse in every task, and infinity, which a task's id cannot hold."""
+    """Refuse settings that the renderer would refuse in every task, and infinity, which a task's id cannot hold."""
     import torch
 
     from shift3d.render.settings import RenderSettings
@@ -124,11 +121,9 @@ def _check_render(settings: dict[str, Any]) -> None:
 
 
 def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
-    """Load what tasks of these settings refer to, and hash it.
+    """Load and hash the scenes, vehicles and detectors. Raises: InputError: a missing file or an unreadable scene.
 
-    Args: preview: scenes that would be made for their hash alone have none, see `scene_entries`.
-
-    Raises: InputError: a missing file, or a scene that cannot be read.
+    preview: leave out hashes of scenes that would have to be generated for their hash alone, see `scene_entries`.
     """
     require_score_only(config)
     scenes = scene_set(config.scenes)
@@ -138,7 +133,7 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     placement = config.attack.placement
     require_in_range(layouts, sector, (placement.min_range_m, placement.max_range_m), config.shift_m)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
-    if arguments.get("beams") is None:  # a street seen by its own sensor: tasks keep their ids
+    if arguments.get("beams") is None:  # null: the street's own sensor; task ids were made without this key
         arguments.pop("beams", None)
     return Catalogue(
         scenes=entries,
@@ -159,7 +154,7 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
 
 
 def _notes(config: Config, scenes: SceneSet, names: Sequence[str], preview: bool) -> tuple[str, ...]:
-    """Named scenes that scenes.count leaves out, and what is said of an ONNX file; a preview looks at no scene."""
+    """Return notes on named scenes beyond scenes.count, and on the ONNX comparison, which a preview leaves out."""
     notes = []
     wanted = config.scenes.names if isinstance(config.scenes, FramesConfig) else None
     if wanted and config.scenes.count is not None and config.scenes.count < len(wanted):
@@ -170,7 +165,7 @@ def _notes(config: Config, scenes: SceneSet, names: Sequence[str], preview: bool
 
 
 def _reference_hash(config: NaturalnessConfig) -> str:
-    """Hash of the reference set's source, without building it. Raises InputError for a folder that holds none."""
+    """Hash the source of the reference set without building the set. Raises: InputError: a folder without members."""
     if (values := config.source()) is None:
         return ""
     from shift3d.naturalness.sources import reference_source, source_hash
@@ -179,7 +174,7 @@ def _reference_hash(config: NaturalnessConfig) -> str:
 
 
 def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> str:
-    """See `vehicles.sources.space_hash`. Raises: InputError where the vehicles have no such space."""
+    """Hash the search space, see `vehicles.sources.space_hash`. Raises: InputError: the vehicles have no such space."""
     from shift3d.vehicles.sources import space_hash
 
     family = source.kinds() if attack.space == "family" else []
@@ -205,7 +200,7 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
-    """See `scene_entries`. Reasons name files below the data set's folder: the same wherever that is."""
+    """Return `scene_entries`, with file names in reasons relative to the data set's folder, equal on every machine."""
     if not isinstance(config.scenes, FramesConfig):
         return scene_entries(scenes, preview)
     entries, skipped = scene_entries(scenes, preview, config.scenes.skip_bad)
@@ -214,9 +209,9 @@ def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[Sce
 
 
 class _VehicleHashes(Mapping[str, str]):
-    """Name to hash, worked out when it is asked for: a vehicle of an experiment has to be decoded for it.
+    """Lazy mapping of vehicle name to hash, because hashing a vehicle of a DeepSDF experiment decodes the vehicle.
 
-    It lists the source's names; a vehicle drawn from a kind has a hash and is not listed.
+    Iteration lists the source's names only. A vehicle drawn from a kind has a hash but is not listed.
     """
 
     def __init__(self, source: VehicleSource) -> None:

@@ -1,8 +1,8 @@
-"""What a plan has to know of each scene: from its configuration, from the cache, or by looking at it.
+"""Scene entries of a plan: facts and content hash of each scene, from configuration, cache, or the loaded scene.
 
-What was found out by looking is kept in the user's cache folder: a file a scene, under a name that changes with
-everything its content depends on: its configuration or the state of its files, the source of this program that makes
-scenes, the libraries under it and the machine. A cache that cannot be written is done without.
+The user's cache folder stores one file per loaded scene. The file's name is a hash of everything that the content
+depends on: the scene's configuration or the state of its files, the code that makes scenes, the libraries and the
+machine. The program also works without a writable cache.
 
 Source: our choice.
 """
@@ -30,17 +30,17 @@ from shift3d.store.user_cache import keep, program_digest, read_kept, user_cache
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
-# What scenes are made by, and what an entry is.
+# Code that makes scenes and defines entries: part of the cache key.
 _SOURCES = ("scenes", "vehicles", "sdf", "geometry", "seeding.py", "settings/catalogue/scene_entries.py")
 _FEW = 8
-"""So many scenes are made for a preview, too: it takes seconds, and then the preview is exact."""
+"""A preview also loads up to this many scenes: that takes seconds and makes the preview exact."""
 
 
 @dataclass(frozen=True)
 class SceneEntry:
-    """One scene: its name in the set, its data set, the hash of its content, and what it may call for.
+    """One scene: name in the set, data set, content hash, and facts that decide on effects.
 
-    content_hash: empty where the scene has not been made yet and its configuration says the rest.
+    content_hash: empty if the configuration gives the facts and the scene has not been generated yet.
     """
 
     name: str
@@ -52,15 +52,12 @@ class SceneEntry:
 def scene_entries(
     scenes: SceneSet, preview: bool = False, skip_bad: bool | None = None
 ) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
-    """An entry a scene, in order. A bar on stderr shows how many of those that have to be looked at are left.
+    """Return an entry per scene, in order, and the reason for each scene left out. A progress bar counts loaded scenes.
 
-    Args:
-        preview: leave ``content_hash`` empty where many scenes would have to be made for it alone.
-        skip_bad: leave out scenes that cannot be read. None: no setting of these scenes.
+    preview: leave ``content_hash`` empty if many scenes would have to be generated for their hash alone. skip_bad:
+    leave out unreadable scenes; None: these scenes have no such setting.
 
-    Returns: the entries, and of each scene that is left out why.
-
-    Raises: InputError: a scene cannot be read; with skip_bad, none can.
+    Raises: InputError: a scene is unreadable; with skip_bad, all scenes are.
     """
     entries = {name: _known(scenes, name) for name in scenes.names()}
     unknown = [name for name, entry in entries.items() if entry is None or not entry.content_hash]
@@ -76,8 +73,8 @@ def scene_entries(
 
 
 def _known(scenes: SceneSet, name: str) -> SceneEntry | None:
-    """What is known of a scene without looking at it. The configuration goes first: it decides the same everywhere,
-    whatever is in a cache."""
+    """Return the entry of a scene that needs no loading. The configuration wins over the cache, because it gives the
+    same facts on every machine."""
     kept, configured = _kept(scenes.source(name)), scenes.configured(name)
     if configured is None:
         return kept
@@ -86,14 +83,14 @@ def _known(scenes: SceneSet, name: str) -> SceneEntry | None:
 
 
 def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool | None) -> list[SceneEntry | InputError]:
-    """Load scenes, by a thread for each CPU of this process: most of it is arithmetic that lets other threads run.
+    """Load scenes with one thread per CPU of this process: most of the work is arithmetic that releases the GIL.
 
-    skip_bad: the error of one that cannot be read stands in its place.
+    skip_bad: return the error of an unreadable scene in place of its entry.
     """
     with ThreadPoolExecutor(usable_cpus()) as threads:
         try:
             work = threads.map(lambda name: _look_at(scenes, name, skip_bad), names)
-            # delay: nothing is shown of what is done at once
+            # delay: no bar for work that ends within a second
             return list(progress_bar(work, desc="looking at scenes", total=len(names), unit="scene", delay=1.0))
         except BaseException:
             threads.shutdown(cancel_futures=True)
@@ -101,7 +98,7 @@ def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool | None) -> list
 
 
 def _look_at(scenes: SceneSet, name: str, skip_bad: bool | None) -> SceneEntry | InputError:
-    source = scenes.source(name)  # before the files are read: one that changes meanwhile is looked at again
+    source = scenes.source(name)  # before the files are read: a file that changes meanwhile is loaded again next time
     try:
         scene = scenes.load(name)
     except InputError as error:
@@ -118,14 +115,14 @@ def _look_at(scenes: SceneSet, name: str, skip_bad: bool | None) -> SceneEntry |
 
 
 def _kept(source: Sequence[object]) -> SceneEntry | None:
-    """The entry that was kept for a scene, None where there is none. source: as `SceneSet.source` has it."""
+    """Return a scene's entry from the cache, or None. source: value of `SceneSet.source`."""
     content = read_kept(_file(source))
     return None if content is None else _entries().validate_python(json.loads(content))
 
 
 @functools.cache
 def _entries() -> TypeAdapter[SceneEntry]:
-    """What reads entries: it takes milliseconds to make, and a data set has thousands of scenes."""
+    """Return the parser of entries, made once: making it takes milliseconds, and a data set has thousands of scenes."""
     return TypeAdapter(SceneEntry)
 
 
@@ -135,5 +132,5 @@ def _file(source: Sequence[object]) -> Path:
 
 
 def _program() -> str:
-    """A hash of what makes scenes on this machine."""
+    """Identify this machine and the code and libraries that make scenes on it."""
     return f"{platform.node()}\n{program_digest(*_SOURCES)}"

@@ -1,1 +1,1 @@
-"""The settings of a sweep as types: what each may be."""
+"""Typed schema of a sweep's settings, with their valid values."""

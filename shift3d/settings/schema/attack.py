@@ -1,4 +1,4 @@
-"""Settings of a search and of where its vehicle is put."""
+"""Settings of the search and of the placement of its vehicle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from shift3d.settings.schema.records import LARGEST, Count, NotNegative, Number,
 
 
 class PlacementConfig(Record):
-    """Where a vehicle may be put; metres."""
+    """Limits for the placement of a vehicle; metres."""
 
     min_range_m: NotNegative
     max_range_m: Positive
@@ -28,12 +28,13 @@ class PlacementConfig(Record):
 
 
 class AttackConfig(Record):
-    """The search and its comparisons.
+    """Settings of the search and of the comparison methods.
 
-    selection_window: steps before and after that count when one is kept. below_ground_m, search, space, components,
-    rate, placements, starts, random_search, naturalness: see `task.spec.AttackSpec`. edit: NAME:PLACE, a parameter of
-    the vehicle and a place in its range, for the method edited. search_scenes: number of other scenes that each shape
-    is searched in beside its own. transfer_scenes: number of others yet that it is put into.
+    selection_window: number of steps before and after a step that count in the selection of the best step.
+    below_ground_m, search, space, components, rate, placements, starts, random_search, naturalness: see
+    `task.spec.AttackSpec`. edit: NAME:PLACE, a vehicle parameter and a place in its range, for the method ``edited``.
+    search_scenes: number of further scenes in each shape's loss. transfer_scenes: number of other scenes that receive
+    the found shape.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)

@@ -1,4 +1,4 @@
-"""The typed schema of a task's settings and of how a sweep runs. Unknown fields are errors, never ignored."""
+"""Typed schema of a task's settings and of a sweep's execution. Unknown fields are errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from shift3d.settings.schema.scenes import SceneConfig
 
 
 class VehicleSetConfig(Record):
-    """One vehicle of a folder with vehicles.safetensors and sdf.safetensors; folder null: those that ship."""
+    """One vehicle of a folder with vehicles.safetensors and sdf.safetensors. folder null: the shipped files."""
 
     kind: Literal["set"]
     name: Text
@@ -23,7 +23,7 @@ class VehicleSetConfig(Record):
 
 
 class DeepSdfVehicleConfig(Record):
-    """One instance of an experiment in the layout of the original DeepSDF repository."""
+    """One vehicle of an experiment in the layout of the original DeepSDF repository."""
 
     kind: Literal["deepsdf"]
     name: Text
@@ -38,7 +38,7 @@ class DeepSdfVehicleConfig(Record):
 VehicleConfig = VehicleSetConfig | DeepSdfVehicleConfig
 
 
-# Settings that belong to some detectors alone.
+# Settings that apply to the listed detectors only.
 _SETTINGS_OF: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("config", "vehicle_class", "sensor_height_m", "intensity"), FOREIGN),
     **{"module": (OWN,), "file": (ONNX,), "original": (ONNX,)},
@@ -46,13 +46,13 @@ _SETTINGS_OF: dict[str, tuple[str, ...]] = {
 
 
 class DetectorConfig(Record):
-    """The detector under attack, and those that score what was found.
+    """Detector under attack, and the detectors that score the solutions.
 
-    weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
-    scored_by: names; None: every detector whose weights are there. The attacked one scores
-    always, and first. module: the Python file of the user's own detector, named "own". file: the ONNX file of the
-    detector named "onnx"; original: the detector that it was made from, whose scores it must have. config: of another
-    codebase's detector; vehicle_class, sensor_height_m, intensity: beside it, see `detectors.foreign.parts.Choices`.
+    weights: file of weights of the attacked detector. other_weights: files of the other detectors by name. None: the
+    shipped weights. scored_by: names of scoring detectors; None: every detector with weights. The attacked detector
+    always scores, as the first. module: Python file of the user's detector "own". file: file of the detector "onnx".
+    original: detector that the ONNX file was exported from, whose scores it must match. config: config file of another
+    codebase's detector. vehicle_class, sensor_height_m, intensity: see `detectors.foreign.parts.Choices`.
     """
 
     name: DetectorName
@@ -88,39 +88,39 @@ class DetectorConfig(Record):
         return self
 
     def named(self) -> tuple[str, ...]:
-        """The detectors that are asked for by name, the attacked one first, an ONNX file's original last."""
+        """Return the detectors that the settings name, the attacked detector first, an ONNX file's original last."""
         return (self.name, *(self.scored_by or ()), *([self.original] if self.original else []))
 
     def weights_by_name(self) -> dict[str, str | None]:
-        """Files that were given, by the detector's name: of weights, None: those that ship; an ONNX file."""
+        """Return the given files of weights (None: shipped) and the ONNX file, by detector name."""
         others: dict[str, str | None] = {str(name): path for name, path in self.other_weights.items()}
         return {**others, self.name: self.own_weights, **({ONNX: self.file} if self.file else {})}
 
     @property
     def own_weights(self) -> str | None:
-        """The file of the attacked detector's weights; where several are attacked, `other_weights` names each one's."""
+        """File of the attacked detector's weights. A sweep over several detectors gives the files in other_weights."""
         return self.weights or self.other_weights.get(self.name)
 
     def modules_by_name(self) -> dict[str, str]:
-        """Python files of detectors, by name: of the user's own, where it is asked."""
+        """Return the Python file of the user's detector by the detector's name; {} without one."""
         return {} if self.module is None else {OWN: self.module}
 
 
 class _ReferenceConfig(Record):
     def source(self) -> dict[str, Any] | None:
-        """Plain values for `naturalness.sources.reference_source`; None where nothing is measured."""
+        """Return plain values for `naturalness.sources.reference_source`; None if naturalness is not measured."""
         return self.model_dump(mode="json")
 
 
 class WideReferenceConfig(_ReferenceConfig):
-    """The wide family, both sides of the split. members: how many of it, 21 at least."""
+    """Reference set of the wide family, seen and held-out kinds. members: number of vehicles, at least 21."""
 
     kind: Literal["wide"]
     members: Annotated[int, Field(ge=21, le=100_000)]
 
 
 class MeshReferenceConfig(_ReferenceConfig):
-    """Every mesh below a folder. forward, up: axes of the files. unit, or length_m, from nose to tail: one of them."""
+    """Reference set of all meshes in a folder. forward, up: axes of the files. Give unit, or length_m, nose to tail."""
 
     kind: Literal["meshes"]
     folder: Text
@@ -131,28 +131,28 @@ class MeshReferenceConfig(_ReferenceConfig):
 
 
 class SetReferenceConfig(_ReferenceConfig):
-    """Every code of a folder with vehicles.safetensors and sdf.safetensors; folder null: those that ship."""
+    """Reference set of all codes of a folder with vehicles.safetensors and sdf.safetensors. folder null: shipped."""
 
     kind: Literal["set"]
     folder: Text | None
 
 
 class NoReferenceConfig(_ReferenceConfig):
-    """Naturalness is not measured."""
+    """No reference set: naturalness is not measured."""
 
     kind: Literal["none"]
 
     def source(self) -> None:
-        """Nothing."""
+        """Return None."""
 
 
 NaturalnessConfig = WideReferenceConfig | MeshReferenceConfig | SetReferenceConfig | NoReferenceConfig
 
 
 class AccuracyConfig(Record):
-    """A preset, and the settings that differ from it (None: as the preset has it).
+    """Accuracy preset and overrides. None: the preset's value.
 
-    detector: precision of the detector inside the search; what is found is scored in float32 or better.
+    detector: precision of the detector in the search; solutions are scored in float32 or better.
     """
 
     name: Literal["draft", "standard", "paper", "reference"]
@@ -167,10 +167,10 @@ else:
 
 
 class EffectsConfig(Record):
-    """Effects beyond the paper's sensor model, and what is said about scenes beyond what they state themselves.
+    """Effects beyond the paper's sensor model, and sensor and weather values that override those of scenes.
 
-    use: effects that are forced, by name; "auto": those that a scene calls for. Nothing: the paper's model.
-    The others: see `scenes.facts.EffectSettings`; weather is laid over the whole scene.
+    use: forced effects by name; "auto": the effects that a scene calls for; empty: the paper's sensor model.
+    Other fields: see `scenes.facts.EffectSettings`. Weather applies to the whole scene.
     """
 
     use: dict[EffectName, bool]
@@ -184,27 +184,27 @@ class EffectsConfig(Record):
     object_speed_m_s: Annotated[float, Field(ge=-100.0, le=100.0)] | None
 
     def forced(self) -> tuple[str, ...]:
-        """Names of effects that are used whether a scene calls for them or not."""
+        """Return the names of the effects that every scene uses, whether it calls for them or not."""
         return tuple(name for name, on in self.use.items() if on and name != "auto")
 
     @property
     def auto(self) -> bool:
-        """Whether scenes are asked what they call for."""
+        """True if scenes use the effects that they call for."""
         return bool(self.use.get("auto"))
 
     @property
     def label(self) -> str:
-        """In a word: "auto", "none", or names joined by +."""
+        """Label: "auto", "none", or names joined by +."""
         return "+".join([*(["auto"] if self.auto else []), *self.forced()]) or "none"
 
     def overrides(self) -> dict[str, float]:
-        """What is said about scenes, by name."""
+        """Return the values that override those of scenes, by name."""
         values = self.model_dump(exclude={"use"})
         return {name: float(value) for name, value in values.items() if value is not None}
 
 
 class RayRunnerConfig(Record):
-    """Ray workers."""
+    """Runner of Ray workers."""
 
     kind: Literal["ray"]
     workers: Count | None
@@ -218,12 +218,12 @@ class RayRunnerConfig(Record):
     abort_share: Share | None
 
     def workers_on(self, cpus: int) -> int:
-        """Workers of a private Ray on a machine with so many CPUs; at least one."""
+        """Return the number of workers of a private Ray on a machine with `cpus` CPUs; at least one."""
         return self.workers or max(1, int(cpus // self.cpus_per_worker))
 
 
 class LocalRunnerConfig(Record):
-    """This process, one task after the other."""
+    """Runner in this process, one task after the other."""
 
     kind: Literal["local"]
     commit_seconds: NotNegative
@@ -235,7 +235,7 @@ RunnerConfig = RayRunnerConfig | LocalRunnerConfig
 
 
 class MlflowConfig(Record):
-    """An MLflow store."""
+    """MLflow store for tracking."""
 
     kind: Literal["mlflow"]
     uri: Text
@@ -249,10 +249,10 @@ class NoTrackingConfig(Record):
 
 
 class Config(Record):
-    """Everything one task is made from, and how its sweep runs.
+    """All settings of one task, and of its sweep's execution.
 
-    ``runner`` and ``tracking`` cannot change a result; all else can. size: which of a sweep's sizes these settings
-    come from; by itself it changes nothing.
+    ``runner`` and ``tracking`` cannot change a result; all other settings can. size: label of the sweep size that these
+    settings come from, without effect by itself.
     """
 
     scenes: Annotated[SceneConfig, Field(discriminator="kind")]
@@ -284,9 +284,9 @@ class Config(Record):
 
     @property
     def shift_m(self) -> float:
-        """How far a search may move a vehicle from its place, in x and y."""
+        """Largest shift of a vehicle from its place by the search, in x and y."""
         return 0.0 if self.mode == "shape" else self.attack.max_shift_m
 
     def settings(self) -> dict[str, Any]:
-        """The settings that can change a result, as plain values."""
+        """Return the settings that can change a result, as plain values."""
         return self.model_dump(mode="json", by_alias=True, exclude={"runner", "tracking"})

@@ -1,4 +1,4 @@
-"""What every group of settings is made of: strict records, and numbers within bounds."""
+"""Base types of the schema: strict records and bounded numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-# Beyond these limits lie typing errors: a list of 10**12 scenes, squares of 1e300 that are infinite.
+# Values beyond these limits are typing errors: 10**12 scenes, or 1e300, whose square is infinite.
 _MOST, LARGEST = 10**6, 1e9
 Count = Annotated[int, Field(ge=1, le=_MOST)]
 Number = Annotated[int, Field(ge=0, le=_MOST)]
@@ -17,7 +17,7 @@ NotNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
 
 
 class Record(BaseModel):
-    """A group of settings. Unknown fields are errors; numbers are not read from texts."""
+    """Group of settings. Unknown fields are errors, and so are texts for numbers."""
 
-    # strict: "0.5" is no number and true is no 1, since Hydra has read the types already. A float may be written 1.
+    # strict: "0.5" is no number and true is not 1, because Hydra has parsed the types. 1 is valid for a float.
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)

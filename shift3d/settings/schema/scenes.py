@@ -1,4 +1,4 @@
-"""Settings of the group ``scenes``, and the scene sets that they describe."""
+"""Settings of the group ``scenes``, and constructors of their scene sets."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ else:
 
 
 class StreetOptionsConfig(Record):
-    """What street scenes state and show beyond one return a beam, see `scenes.street.options`; all off by default."""
+    """Options of street scenes beyond one return per beam, see `scenes.street.options`. All are off by default."""
 
     weather: Literal["dry", "rain", "fog", "snow"] = "dry"
     rain_mm_h: Annotated[float, Field(gt=0, le=LIMITS["rain_mm_h"])] | None = None
@@ -42,7 +42,7 @@ class StreetOptionsConfig(Record):
     beams: BeamName | None = None
 
     def options(self) -> StreetOptions:
-        """The same for the generator. Raises InputError for settings that contradict each other."""
+        """Return the options for the street generator. Raises: InputError: contradictory settings."""
         return StreetOptions(**{name: getattr(self, name) for name in StreetOptionsConfig.model_fields})
 
     @model_validator(mode="after")
@@ -65,8 +65,8 @@ class StreetConfig(StreetOptionsConfig):
 
 
 class FramesConfig(Record):
-    """Recorded frames under ``root``, a folder or bucket. names: of those to use, None: all; count: the first so many.
-    skip_bad: leave out frames that cannot be read."""
+    """Recorded frames under ``root``, a folder or bucket. names: frames to use; None: all. count: number of frames from
+    the first. skip_bad: leave out unreadable frames."""
 
     kind: str
     root: Text
@@ -76,7 +76,7 @@ class FramesConfig(Record):
 
 
 class KittiConfig(FramesConfig):
-    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1."""
+    """KITTI object frames under ``root``/training. reflectance_max: value of full reflectance in the files; None: 1."""
 
     kind: Literal["kitti"]
     reflectance_max: Annotated[float, Field(gt=0, le=MOST_RAW)] | None = None
@@ -119,15 +119,12 @@ SceneConfig = StreetConfig | KittiConfig | WaymoConfig | Argoverse2Config | NuSc
 
 
 def scene_config(values: Mapping[str, Any]) -> SceneConfig:
-    """The settings behind plain values, by their ``kind``. Raises ValidationError: they are none."""
+    """Parse plain values to scene settings by their ``kind``. Raises: ValidationError: invalid values."""
     return TypeAdapter[SceneConfig](Annotated[SceneConfig, Field(discriminator="kind")]).validate_python(dict(values))
 
 
 def scene_set(config: SceneConfig) -> SceneSet:
-    """The scenes that settings describe. Readers are imported when their data set is asked for.
-
-    Raises: InputError: a missing or unreadable folder.
-    """
+    """Create the scene set of settings, with lazy imports. Raises: InputError: a missing or unreadable folder."""
     if isinstance(config, StreetConfig):
         from shift3d.scenes.sets import StreetScenes
 

@@ -1,4 +1,4 @@
-"""``shift3d compile``: a detector as an ONNX file."""
+"""``shift3d compile``: export a detector as an ONNX file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``shift3d evaluate``: how good detectors and the shape model are."""
+"""``shift3d evaluate``: measure the quality of detectors and of the shape model."""
 
 from __future__ import annotations
 

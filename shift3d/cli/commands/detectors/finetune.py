@@ -1,4 +1,4 @@
-"""``shift3d finetune``: attack, fine-tune on what was found, and measure on what was not seen."""
+"""``shift3d finetune``: attack a detector, fine-tune it on the objects found, and measure it on held-out scenes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ _HELD_OUT = "held_out."
 
 @dataclass(frozen=True)
 class FinetuneRequest:
-    """What the command line asks for. words: overrides of every sweep; held_out: of those over held-out streets."""
+    """Parsed command line. words: overrides of all three sweeps; held_out: further overrides of the held-out sweeps."""
 
     words: list[str]
     held_out: list[str]
@@ -76,7 +76,7 @@ class FinetuneRequest:
     out: str | None = None
 
     def overrides_of(self, sweep: str) -> list[str]:
-        """Of one of the three sweeps. Vehicles are named for the first two."""
+        """Return the overrides of one of the three sweeps. ``vehicle=`` applies to the first two only."""
         if sweep == _SWEEPS[0]:
             return self.words
         both = [*self.words, *self.held_out]
@@ -88,7 +88,7 @@ class FinetuneRequest:
 
 @dataclass(frozen=True)
 class Step:
-    """A command of the list."""
+    """One command of the pipeline, with its words."""
 
     command: Command
     words: list[str] = field(default_factory=list)
@@ -103,10 +103,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def read_request(words: Sequence[str], quick: bool = False) -> FinetuneRequest:
-    """The words of a command line.
-
-    Raises: InputError for a key without a value, or a value that is none.
-    """
+    """Parse the words of the command line. Raises: InputError: a key without a value, or an invalid value."""
     own = [word for word in words if word.partition("=")[0] in _KEYS]
     held_out = [word.removeprefix(_HELD_OUT) for word in words if word.startswith(_HELD_OUT)]
     rest = [word for word in words if word not in own and not word.startswith(_HELD_OUT)]
@@ -127,7 +124,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     request = read_request(arguments.words, arguments.quick)
-    out = local_path(request.out) if request.out else None  # before scenes are looked at, which takes a minute
+    out = local_path(request.out) if request.out else None  # checked before the scenes are read, which takes a minute
     config, spec_hash = _checked(request)
     folder = out or Path(f"outputs/finetuning-{spec_hash}")
     models = _models(folder, config.detector.name, request)
@@ -144,7 +141,7 @@ def _run(arguments: argparse.Namespace) -> int:
             print("the same command resumes", file=sys.stderr)
             return code
         incomplete |= code == ExitCode.INCOMPLETE
-        if step.command is train.COMMAND:  # what the tuned model makes of the objects that were found before
+        if step.command is train.COMMAND:  # score the objects found before fine-tuning with the tuned model
             report.score_held_out(folder, next(tuned for tuned in models if f"out={tuned.folder}" in step.words))
     print(f"\n{report.write_report(folder, config.detector.name, models, [str(step) for step in steps])}")
     mirror(config.tracking, partial(report.mirror, folder, models))
@@ -152,8 +149,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def run_step(step: Step) -> int:
-    """Run one command of the list; its exit code. One that was asked to stop is interrupted, though it came to its end:
-    whoever asked wants none that follows."""
+    """Run one command of the pipeline and return its exit code. After a stop signal the code is INTERRUPTED even if the
+    command finished, so that the next command does not start."""
     print(f"\n$ {step}", flush=True)
     before = taken_signals()
     code = run_command(step.command, step.words)
@@ -161,10 +158,10 @@ def run_step(step: Step) -> int:
 
 
 def _checked(request: FinetuneRequest) -> tuple[Config, str]:
-    """The settings and the hash of what is attacked for training.
+    """Check the three sweeps; return the settings and the spec hash of the training sweep.
 
-    Raises: InputError naming scenes that are held out and trained on at once, or streets that are not to be trained on;
-        more than one detector, or one that cannot be trained; a rate that is none.
+    Raises: InputError: held-out scenes that the training sweep attacks or the weights were tuned on, streets of a split
+        that must not be trained on, several detectors, a detector without a training, or an invalid rate.
     """
     from shift3d.finetuning.objects import refuse_other_splits
     from shift3d.finetuning.tune import tuning_recipe
@@ -210,13 +207,13 @@ def _models(folder: Path, detector: str, request: FinetuneRequest) -> list[Tuned
 
 
 def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Sequence[Tuned]) -> Iterator[Step]:
-    """The commands, in order."""
+    """Yield the commands of the pipeline in order."""
     from shift3d.finetuning.report import HELD_OUT, NATURAL
     from shift3d.processor import usable_cpus
     from shift3d.settings.schema.config import MlflowConfig, RayRunnerConfig
 
     runner, cpus = config.runner, usable_cpus()
-    # Streets are evaluated by processes of this machine, however many workers a cluster has.
+    # `evaluate` uses processes of this machine only, so a cluster's number of workers does not apply.
     workers = min(runner.workers_on(cpus), cpus) if isinstance(runner, RayRunnerConfig) else 1
     mlflow = config.tracking.uri if isinstance(config.tracking, MlflowConfig) else "none"
     detector, own_weights = config.detector.name, config.detector.own_weights
@@ -243,7 +240,7 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
             f"method={method}",
             f"start_from={own_weights or 'shipped'}",
         ]
-        # One thread: the weights do not depend on the number of workers.
+        # One thread, so that the weights do not depend on the number of workers.
         words += [f"recipe.seed={tuned.seed}", *rate, "threads=1", f"mlflow={mlflow}", f"out={tuned.folder}"]
         yield Step(train.COMMAND, words)
         yield measured(tuned.folder / NATURAL, str(tuned.weights))

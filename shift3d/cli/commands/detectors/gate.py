@@ -1,4 +1,4 @@
-"""``shift3d gate``: are new weights worse than the last release on a suite of hard objects?"""
+"""``shift3d gate``: compare new weights with the last release on a suite of hard objects."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
         refuse_unknown_name(suite, releases, f"{scorer.name}:{called}")
     accept: Any = values.get("accept", "false")
     if accept != "false":
-        releases.check_writable("releases=DIR")  # before everything is scored
+        releases.check_writable("releases=DIR")  # checked before the scoring
     settings = GateSettings(Rule(**shares), workers, against, accept, called)
     outcome = run_gate(suite, scorer, releases, as_location(out), settings)
     print(outcome.text)

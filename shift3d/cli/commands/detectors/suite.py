@@ -1,4 +1,4 @@
-"""``shift3d suite``: freeze hard objects of a sweep, for gates."""
+"""``shift3d suite``: freeze hard objects of a sweep for gates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``shift3d train``: the weights that ship, or weights for one's own scenes and vehicles."""
+"""``shift3d train``: train the shipped weights, or weights for the user's scenes and vehicles."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _fine_tune(values: dict[str, str], options: TrainOptions, report: Any) -> Path:
-    """Train on a sweep's objects: everything goes to out=."""
+    """Fine-tune a detector on a sweep's objects. All output goes to out=."""
     nothing = "means nothing with finetune=, whose sweep has the scenes"
     refuse(values, ("scenes", "root", "count", "inserted"), nothing, "train")
     if values["model"] not in DETECTOR_NAMES:
@@ -121,7 +121,7 @@ def _number(values: dict[str, str], key: str) -> int | None:
 
 
 def _recipe_words(words: list[str]) -> dict[str, str]:
-    """recipe.FIELD=VALUE words by field."""
+    """Parse words recipe.FIELD=VALUE to field: value."""
     names = [word.partition("=")[0] for word in words]
     found = key_values(words, names, (), "train")
     return {name.removeprefix(_FIELD): value for name, value in found.items()}
@@ -133,7 +133,7 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
     scenes = values.get("scenes", "street")
     tail = "-finetuned" if "finetune" in values else "" if scenes == "street" else f"-{scenes}"
     folder = f"outputs/train-{values['model']}{tail}"
-    # Without steps of its own a training only trains the heads of existing weights.
+    # steps=0 with existing weights trains the heads only.
     heads_alone = values.get("steps") == "0" and values.get("start_from", RANDOM) != RANDOM
     return TrainOptions(
         out=writable_folder(values.get("out", folder)),
@@ -151,7 +151,7 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
 
 @contextmanager
 def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Iterator[Callable[[Any], None] | None]:
-    """What reports a training to its MLflow run; None where no run is wanted."""
+    """Yield the function that reports training curves to an MLflow run; None with mlflow=none."""
     uri = values.get("mlflow", _STORE)
     if uri == "none":
         yield None
@@ -168,14 +168,14 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Iterat
     words |= {f"{_FIELD}{name}": value for name, value in options.recipe.items()}
     params: dict[str, Any] = {"command": words, "out": str(options.out)}
     if "finetune" in values:
-        pass  # its recipe depends on how many objects there are, and stands beside the weights
+        pass  # the recipe depends on the number of objects; the JSON file beside the weights holds it
     elif model in MODELS and model != "sdf":
         params["recipe"] = asdict(detector_recipe(model, options))
     elif "vehicles" not in values and model == "sdf":
         from shift3d.training.sdf.train import SdfRecipe
 
         params["recipe"] = asdict(SdfRecipe())
-    # One run a folder and command: the same command again goes on with it.
+    # One run per folder and command, so that the same command continues its run.
     key = f"{options.out.resolve()} {sorted(words.items())}"
     curves = TrainingCurves(uri, _EXPERIMENT, f"train-{model}", key.replace("'", ""), params)
     yield curves
@@ -183,7 +183,7 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Iterat
 
 
 def _train_on_meshes(values: dict[str, str]) -> int:
-    """Train on meshes: everything goes to out=, the shipped weights stay as they are."""
+    """Train the shape model on meshes. All output goes to out=; the shipped weights do not change."""
     if values["model"] != "sdf":
         what = f"vehicles= is for model=sdf, not model={values['model']}"
         raise InputError(what, where="train", remedy="Give model=sdf")

@@ -1,4 +1,4 @@
-"""``shift3d export``: a solution of a finished sweep as files that other tools read."""
+"""``shift3d export``: write a solution of a finished sweep as files for other tools."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[str, Any]:
-    """The solution's row: latent_code, the six columns of its pose, and its keys."""
+    """Load a solution's row: latent_code, six pose columns, keys. Raises: InputError: no such method or replicate."""
     import pyarrow.compute as pc
 
     from shift3d.settings.messages import choice_error

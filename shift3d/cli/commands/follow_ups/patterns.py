@@ -1,4 +1,4 @@
-"""``shift3d patterns``: what a sweep's attacks change, in centimetres and degrees."""
+"""``shift3d patterns``: measure the changes of shape and pose by a sweep's attacks, in centimetres and degrees."""
 
 from __future__ import annotations
 

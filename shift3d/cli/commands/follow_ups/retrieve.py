@@ -1,4 +1,4 @@
-"""``shift3d retrieve``: the natural kin of a sweep's shapes."""
+"""``shift3d retrieve``: find labelled vehicles of a log that resemble a sweep's shapes."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     folder = as_location(arguments.out)
-    sweep = solved_tasks(folder)  # whether it has finished, before anything is made
+    sweep = solved_tasks(folder)  # raises before any work if the sweep has not finished
     if all(group.template.mode == "pose" for group in sweep.tasks.groups()):
         what = "no task searched a shape: nothing to retrieve"
         raise InputError(what, str(folder), "Give a sweep of mode=shape or shape_pose")

@@ -1,4 +1,4 @@
-"""``shift3d rules``: what the objects share that the detector misses."""
+"""``shift3d rules``: find properties common to the objects that the detector misses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``shift3d verify``: score a finished sweep's solutions again, at reference accuracy."""
+"""``shift3d verify``: score the solutions of a finished sweep again, at reference accuracy."""
 
 from __future__ import annotations
 
