@@ -47,7 +47,6 @@ def descend_expectation(
         family: kinds for the draws. The first half takes one draw from each kind, in order; the second half takes turns
             among the three kinds with the lowest losses. The descent uses the best start's kind. None: the search's own
             draws.
-
     Returns: the valid step with the lowest loss of all; a draw has its own loss, a step of the descent the mean loss.
     Source: expectation over transformation (Athalye et al. 2018) with Adam (Kingma and Ba 2015); our choice.
     """

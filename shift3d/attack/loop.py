@@ -26,7 +26,6 @@ def descend(
     The valid step with the lowest loss among steps 1..steps is kept. Without a valid step the start is returned, as
     best_step 0. After a step beyond the budget, or one without a gradient (for example if no beam meets the object),
     the next variable is half way back to the best so far. selection_window: see `best_step`.
-
     Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01); the step back is our choice.
     """
     trials = Trials(problem, search, on_step, every_step=selection_window > 0)
@@ -49,7 +48,6 @@ def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
 
     selection_window: the loss of a step becomes the highest loss of the step and this many steps before and after it,
     which avoids a local minimum of one step. 0 is the paper's rule.
-
     Source: SHIFT3D, Algorithm 1; the neighbours are our choice. docs/why/experiments.md compares both rules over 100
     shape attacks.
     """

@@ -24,7 +24,6 @@ class PoseLimits:
     max_shift_m: largest Euclidean |dxy|. max_tilt_rad: largest |change| of pitch and of roll from theta0's, which are
     those of the ground at the object's placement. Yaw is free.
     snap_m: largest vertical distance of the object from the ground plane at its new position; 0: the gradient moves z.
-
     Source: SHIFT3D, Adversarial Pose Generation Results: displacement under 4 m on the xy-plane, pitch and roll under
     0.1 rad, yaw free. z is our choice, the paper is silent: the object has to touch the ground within 2 cm, and no
     gradient of the detector enforces that, so z follows the ground (see `constraints.snap_to_ground`).

@@ -185,7 +185,6 @@ def measure(
 
     radius_m: radius around the object within which proposals count; None: the whole scene, as in the paper.
     incremental: incremental inference of the problem's detector, used in its place; it reuses earlier computations.
-
     Differentiable w.r.t. code and theta, through `adversarial`. Source: SHIFT3D, Algorithm 1.
     """
     start = time.perf_counter()

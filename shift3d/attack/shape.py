@@ -35,7 +35,6 @@ def shape_search(
             is fixed.
         elsewhere: the same vehicle in other scenes. If given, L_adv is the mean over all scenes: the shape is a
             universal one. The constraints are those of `problem` alone.
-
     Source: SHIFT3D eq. loss_z. The height is our choice: a wheel base that rises by 2 cm would leave the object in the
     air and end the search; a real vehicle of that shape would be lower.
     """

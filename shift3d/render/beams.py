@@ -25,7 +25,6 @@ class Beams:
         directions: (N, 3) float64 unit vectors e; zero for a row without a beam.
         ranges_m: (N,) float64 ranges k of the returns; zero for a row without a beam.
         carries: (N,) bool mask of the rows that carry a beam; False if the range is zero or not finite.
-
     Source: SHIFT3D, Algorithm 1, lines 1 and 2.
     """
 
@@ -66,7 +65,6 @@ class Beams:
         Args:
             points: (N, 3) returns, metres, scene frame, float32 or float64.
             origins: (N, 3) or (3,) sensor positions, metres, scene frame.
-
         Raises: InputError: shapes that do not fit.
         """
         points_t = torch.as_tensor(np.ascontiguousarray(points) if isinstance(points, np.ndarray) else points)

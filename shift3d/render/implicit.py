@@ -50,11 +50,9 @@ def surface_points(
         min_n_dot_d: smallest |e . grad g| to divide by.
         polish: take a last Newton step if it is shorter than 2 mm; g and its slope are known here.
         known: linearization that the search has made at some of the hits.
-
     Returns:
         (M, 3) float64 points, scene frame, metres; the hits, polished, with the residual before the Newton step; the
             share of the gradient on grazing beams; the linearization at all hits, None if no gradient is wanted.
-
     Differentiable w.r.t. theta and whatever the field depends on.
     Source: SHIFT3D eqs. dl_dz to theta_final and supplement, Gradient Calculation.
     """

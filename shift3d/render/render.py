@@ -37,13 +37,10 @@ def render(
         settings: every approximation.
         warm: `Rendering.warm` of an earlier rendering of the same beams and vehicle with a similar code or pose.
         grid: `SdfGrid.of` this very field, for fields that are rendered often. Used by `sphere_tracing` alone.
-
     Returns: Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
-
     Raises:
         InputError: the pose is not six finite numbers; the dtype cannot reach the tolerance on this vehicle; the
             vehicle does not fit into the paper's sphere.
-
     Source: SHIFT3D, Object Rendering in LiDAR scene.
     """
     if theta.shape != (6,) or not bool(torch.isfinite(theta).all()):

@@ -39,7 +39,6 @@ def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Verifie
     Args:
         field: metric distance in the object frame. margin_m: growth of each face.
         size_m: (3,) size of the baseline's box, centred at the object's origin.
-
     Source: our choice: the paper is silent.
     """
     ball = sdf_ball_box(field)

@@ -48,7 +48,6 @@ def correct(
             secant step is taken; a last Newton step is left to `implicit`, so that the linearization is that at the
             root. On a beam flatter than `approach_slope` both are smaller: by the ratio of the slopes, and by its
             square.
-
     Not differentiable.
     """
     k = torch.minimum(torch.maximum(start_m, rays.near_m), rays.far_m)

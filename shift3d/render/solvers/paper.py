@@ -31,7 +31,6 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
     Unresolved beams: the sensor is inside the object, so that no crossing from outside exists, or the field is not
     finite before the crossing. A sample with g exactly 0 is outside (the paper leaves g = 0 open). A beam without a
     return, which the paper does not have, is sampled up to the far side of the sphere.
-
     Source: SHIFT3D supplement, Rendering.
     """
     index = beams_near(beams, theta[:3].detach(), SPHERE_RADIUS_M)

@@ -75,7 +75,6 @@ def refine(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, s
     Args:
         samples: measured and predicted samples; a ray may have none.
         hit_m: (M,) float64 range of a known hit, NaN if none is known.
-
     Not differentiable.
     """
     end_m = torch.where(torch.isnan(hit_m), torch.inf, hit_m)

@@ -39,11 +39,9 @@ def find_roots(
         outer, inner: (M,) float64 ends of the brackets. outer < inner is not required.
         g_outer, g_inner: (M,) values at the ends.
         tolerance: |g| at which a root is accepted. max_iterations: most evaluations per row.
-
     Returns:
         Roots. A bracket that has shrunk to 1e-12 of its position counts as converged: in float32 no better |g| exists
             there, and the residual states what was reached. If the outer end is an exact root it is returned.
-
     Source: our choice: the paper bisects.
     """
     a, b, ga, gb = outer, inner, g_outer.double(), g_inner.double()

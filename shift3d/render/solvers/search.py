@@ -99,7 +99,6 @@ def first_hits(
     Args:
         field: metric distance in the object frame. size_m: (3,) size of the baseline's box.
         warm: state of an earlier rendering, if it may be used. grid: of this very field; preferred to `warm`.
-
     Not differentiable.
     """
     state = None

@@ -33,7 +33,6 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
     Args:
         field: metric distance in the object frame. size_m: (3,) size of the baseline's box.
         settings: `step_m`, `step_safety`, `tolerance_m`, `max_iterations` and `box_margin_m` are used.
-
     Not differentiable. Source: Hart 1996; the least step is the paper's sampling.
     """
     rays = rays_in_box(beams, theta, verified_box(field, size_m, settings.box_margin_m).box)
