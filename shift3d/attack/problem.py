@@ -88,7 +88,7 @@ class AttackProblem:
     @property
     def limits(self) -> Constraints:
         """Constraints that hold during an attack."""
-        kept = math.ceil(self.kept_share * self.constraints.min_object_points)  # at least one return
+        kept = math.ceil(self.kept_share * self.constraints.min_object_points)  # rounded up: one return stays one
         return replace(self.constraints, min_object_points=kept)
 
     def space_for(self, code: Tensor) -> SdfGrid | None:

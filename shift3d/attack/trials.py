@@ -94,7 +94,7 @@ class Trials:
         self.trace: list[StepRecord] = []
         self.variables: list[Tensor] = []
         self._on_step, self._differentiable, self._every_step = on_step, differentiable, every_step
-        self._lowest = math.inf  # loss of a valid step after the start
+        self._lowest = math.inf  # lowest loss of a valid step after the start
         self._code0 = problem.code0
         self._tried: list[tuple[VehicleFrame, Tensor, Tensor]] = []
         self.turn_to(problem, search)

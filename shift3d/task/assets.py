@@ -147,7 +147,7 @@ class Assets:
         return Naturalness(load_reference(reference_source(self.reference or {}), "naturalness"))
 
     def naturalness_of(self, spec: TaskSpec, name: str) -> NaturalnessMeasure | None:
-        """Measure the naturalness of an unchanged vehicle of the task's set, on first use."""
+        """Return the naturalness of an unchanged vehicle of the task's set; measured on first use."""
         measures = self.naturalness(spec)
         if measures is not None and name not in self._own_naturalness:
             vehicle = self.vehicles.vehicle(name)

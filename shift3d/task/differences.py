@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 WRONG_SURFACE_M = 0.01
-"""A larger depth error belongs to another surface: the layers of a car are thinner than this."""
+"""A larger depth error belongs to another surface: no coat of paint on a car is that thick."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ def kept_measures(
         return {name: _measure(**values) for name, values in json.loads(content).items()}
     bar = progress_bar(vehicles, desc="measuring how natural each vehicle is", unit="vehicle", disable=not show)
     found = {vehicle.name: measures.of_code(vehicle, decoder, vehicle.latent_code) for vehicle in bar}
-    keep(file, json.dumps({name: asdict(measure) for name, measure in found.items()}).encode())  # exact floats
+    keep(file, json.dumps({name: asdict(measure) for name, measure in found.items()}).encode())  # floats stay exact
     return found
 
 

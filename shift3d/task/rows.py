@@ -85,7 +85,7 @@ class Rows:
             self.time(candidate.method, stage, milliseconds)
 
     def skip(self, method: str, replicate: int, status: str) -> None:
-        """Add a row per detector without a score, unless the method has a row: gaps are explicit, never silent."""
+        """Add a row per detector without a score, unless (method, replicate) has rows: no gap is ever silent."""
         if (method, replicate) not in self._seen:
             self._found.scores.extend(self._row(name, method, replicate, status) for name in self._spec.scored_by)
 

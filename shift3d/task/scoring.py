@@ -179,15 +179,15 @@ def boxes_around(
 
 
 def detections_near(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> Detections:
-    """Suppress proposals around a box (7,), best first, down to the box that gives the object its score.
+    """Return the detections around a box (7,) after suppression, best first, down to the one that gives the score.
 
-    radius_m: largest distance of that box's centre from the object's centre, metres.
+    radius_m: largest distance of that detection's centre from the object's centre, metres.
     """
     return detections_until(proposals, box, is_near(proposals.boxes.double().numpy(), box, radius_m))
 
 
 def detections_until(proposals: Proposals, box: NDArray[np.float64], wanted: NDArray[np.bool_]) -> Detections:
-    """Suppress proposals around a box (7,), best first, down to the first of the proposals `wanted` (A,).
+    """Return the detections around a box (7,) after suppression, best first, down to the first one `wanted` (A,).
 
     The result depends neither on boxes farther away nor on the number of proposals: a detector that sees the whole
     scene returns tens of thousands that reach SCORE_FLOOR.

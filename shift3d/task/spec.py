@@ -107,7 +107,7 @@ class AttackSpec:
 
 
 def split_label(label: str) -> tuple[str, float | None]:
-    """Split an `AttackSpec.label` into the label without budget, and the budget: ("descent", 95.0)."""
+    """Split an `AttackSpec.label` from its budget: "descent_within95" gives ("descent", 95.0)."""
     found = re.search(r"_within([0-9.]+(?:e[+-]?[0-9]+)?)", label)
     return (label, None) if found is None else (label.replace(found.group(), "", 1), float(found.group(1)))
 

@@ -1,4 +1,4 @@
-"""Metric field of a vehicle in its object frame."""
+"""Field of a vehicle in its object frame and in metres."""
 
 from __future__ import annotations
 

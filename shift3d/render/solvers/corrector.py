@@ -72,7 +72,7 @@ def correct(
         strict = (along <= NEWTON_SLOPE) & (number < _STEPS - 1)
         at_root = (g.abs() <= settings.tolerance_m * torch.where(strict, flat, 1.0)) & (along < 0)
         next_k = k + step
-        # A |g| of the size of rounding makes a root however flat the beam is. A root outside its ray is none.
+        # A |g| within rounding of 0 makes a root however flat the beam is. A root outside its ray is none.
         found = (short | at_root) & (next_k >= here.near_m)
         found &= next_k <= here.far_m
         residual_m[rows] = g.abs()

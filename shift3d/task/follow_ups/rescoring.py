@@ -134,7 +134,7 @@ def _scores(scored: Scored) -> dict[str, float]:
 
 
 def _noisy_points(spec: TaskSpec, problem: AttackProblem, rendering: Rendering) -> Iterator[Tensor]:
-    """Yield scenes with new noise along the beams on the object; all other points have their sensor's noise."""
+    """Yield scenes with new noise along the beams on the object; all other points already have sensor noise."""
     directions, hit = problem.cast_beams.directions, rendering.hit_mask
     for draw in range(DRAWS):
         # Drawn for every beam of the scene, so that a beam's noise does not depend on the object that it hits.

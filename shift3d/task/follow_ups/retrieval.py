@@ -87,7 +87,7 @@ def _scored(
     """Score a vehicle of the pool at a solution's pose, on the ground. Returns results by the detector's name."""
     assets = held.held.assets
     own, code = solution.vehicle or assets.vehicle(spec), np.array(kin["latent_code"], np.float32)
-    # Use the code, not the coordinates: these refer to the pool's vehicles; the sweep's may differ at the same decoder.
+    # Made from the code, not from coordinates: those refer to the pool's vehicle set, which may not be the sweep's.
     name = f"{kin['scene']}/{kin['label']}"
     vehicle = vehicle_of(name, assets.decoder, code, kin["scale_m"], own.sdf_R_object)
     theta = solution.theta.clone()

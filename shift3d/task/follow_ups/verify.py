@@ -77,8 +77,7 @@ class VerifyAssets:
         return self._tables[name].of(task_id)
 
     def verified(self, spec: TaskSpec, solution: Solution, problems: Problems) -> tuple[Verified, bool]:
-        """Verify a solution; False if the result is shared, as by tasks of one vehicle in one scene for the baseline.
-        """
+        """Verify a solution. Also returns False if the result was known: tasks of one place share their baseline."""
         if solution.method != "baseline":
             return verify_object(spec, solution, problems), True
         # A sweep may hold results of two machines that rounded differently.
