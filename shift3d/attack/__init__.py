@@ -1,1 +1,1 @@
-"""Following a detector's gradient to a shape or a pose that it misses."""
+"""Attacks: follow a detector's gradient to a shape or a pose that the detector misses."""

@@ -1,4 +1,4 @@
-"""What an attack is compared with: random changes of the same size."""
+"""Random changes of the same size as an attack's, for comparison."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ATTEMPTS = 60
 
 
 def random_code(baseline_code: Tensor, radius: float, rng: np.random.Generator) -> Tensor:
-    """A code (d,) on the sphere of the adversarial code's radius around z0, in the dtype of z0.
+    """Draw a code (d,) on the sphere around z0 with the adversarial code's latent distance, in the dtype of z0.
 
     Source: SHIFT3D, Adversarial Shape Generation Results (random shapes at the same latent distance).
     """
@@ -24,7 +24,7 @@ def random_code(baseline_code: Tensor, radius: float, rng: np.random.Generator) 
 
 
 def noise_codes(code: Tensor, sigma: float, count: int, rng: np.random.Generator) -> Tensor:
-    """(count, d) codes z + N(0, sigma^2 I): is the adversarial shape a region or a needle?
+    """Draw (count, d) codes z + N(0, sigma^2 I), which test whether the adversarial shape is more than a single point.
 
     Source: SHIFT3D, Adversarial Shape Generation Results; 10 codes with sigma 0.01.
     """
@@ -33,7 +33,7 @@ def noise_codes(code: Tensor, sigma: float, count: int, rng: np.random.Generator
 
 
 def random_pose(problem: AttackProblem, rng: np.random.Generator, limits: PoseLimits = PAPER_LIMITS) -> Tensor | None:
-    """A `drawn_pose` (6,) on the ground, drawn again until the realism constraints hold; None if no draw is valid."""
+    """Draw a `drawn_pose` (6,) on the ground that keeps the realism constraints; None if no draw is valid."""
     metric = problem.metric(problem.code0.detach())
     for _ in range(_ATTEMPTS):
         theta = snapped(drawn_pose(problem.theta0, rng, limits), problem, metric, limits)

@@ -1,4 +1,4 @@
-"""Descent on the expected loss over small placements, with adaptive steps and several starts."""
+"""Descent on the expected loss over small placement changes, with adaptive steps and several starts."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from shift3d.attack.records import AttackResult
 from shift3d.attack.trials import FREE_DISTANCE, Family, Search, Trials
 
 SHIFT_M, TURN_RAD = 0.1, 0.02
-"""Standard deviations of the placements that a loss is the mean over: a point of a beam's grid, a degree."""
+"""Standard deviations of the placement changes in the mean loss: the grid spacing of the beams, and a degree."""
 MOMENTA = (0.8, 0.95)
-"""Of Adam: some twenty steps are too few for the usual 0.9 and 0.999."""
+"""Moments of Adam; for some twenty steps the usual 0.9 and 0.999 are too slow."""
 KINDS_AGAIN = 3
-"""Kinds that the second half of the starts is drawn from, the best of the first half."""
+"""Number of kinds, the best of the first half of the starts, that the second half is drawn from."""
 
 
 def descend_expectation(
@@ -33,21 +33,21 @@ def descend_expectation(
     starts: int = 1,
     family: Family | None = None,
 ) -> AttackResult:
-    """Projected Adam on the mean loss over placements close by.
+    """Minimize the mean loss over nearby placements with projected Adam.
 
-    A loss has a local minimum wherever beams happen to fall; what is low on average over places is low because of the
-    shape.
+    A loss has a local minimum wherever beams happen to hit the shape; a loss that is low on average over placements is
+    low because of the shape.
 
     Args:
-        evaluations: renderings in all, shared by starts and placements; the baseline's is not counted.
-        rate: Adam's, in the variable's units, falling to a tenth.
-        rng: of the placements and the further starts.
-        placements: that the mean is taken over, the object's own among them; drawn for every step.
-        starts: the baseline, then draws from the space, an evaluation each; the descent begins at the best of them.
-        family: kinds that the draws are taken from: the first half one of each in its order, the second half in turn
-            of the three with the lowest losses. The descent is over the kind of the best. None: the draws are the
-            search's own.
-    Returns: the valid step with the lowest loss of all: of a draw its own, of a step of the descent the mean.
+        evaluations: renderings in total, shared by starts and placements; the baseline's is not counted.
+        rate: Adam's, in the variable's units; falls to a tenth.
+        rng: draws the placements and the further starts.
+        placements: number of placements in the mean, the object's own among them; new draws in every step.
+        starts: the baseline, then draws from the space, one evaluation each; the descent begins at the best start.
+        family: kinds for the draws. The first half takes one draw from each kind, in order; the second half takes turns
+            among the three kinds with the lowest losses. The descent uses the best start's kind. None: the search's own
+            draws.
+    Returns: the valid step with the lowest loss of all; a draw has its own loss, a step of the descent the mean loss.
     Source: expectation over transformation (Athalye et al. 2018) with Adam (Kingma and Ba 2015); our choice.
     """
     trials = Trials(problem, search)
@@ -77,7 +77,7 @@ def descend_expectation(
 def _turn_to_best_start(
     trials: Trials, problem: AttackProblem, search: Search, starts: int, rng: np.random.Generator, family: Family | None
 ) -> Search:
-    """Try the baseline and draws from the kinds in turn; go on with the kind of the best, whose search it returns."""
+    """Evaluate the baseline and the draws, then switch to the kind of the best; returns that kind's search."""
     trials.evaluate(search.start, False)
     kinds, lowest = [(problem, search)], dict[int, float]()
     turns = _turns(family.order if family else (), starts - 1, lowest)
@@ -102,7 +102,7 @@ def _turn_to_best_start(
 
 
 def _turns(order: Sequence[int], draws: int, lowest: Mapping[int, float]) -> Iterator[int]:
-    """Kinds that so many draws are taken from. lowest: loss of each with a valid draw, read after the first half."""
+    """Yield the kind of each draw. lowest: loss of each kind with a valid draw, read after the first half."""
     yield from order[: math.ceil(draws / 2)]
     yield from itertools.cycle(sorted(lowest, key=lowest.__getitem__)[:KINDS_AGAIN] or order)
 
@@ -113,7 +113,7 @@ def _shift(rng: np.random.Generator) -> Tensor:
 
 
 def _adam(gradient: Tensor, mean: Tensor, square: Tensor, step: int) -> tuple[Tensor, Tensor, Tensor]:
-    """The step's direction, about 1 in each coordinate, and the moments after it."""
+    """Compute the step's direction, about 1 in each coordinate, and the new moments."""
     mean = MOMENTA[0] * mean + (1 - MOMENTA[0]) * gradient
     square = MOMENTA[1] * square + (1 - MOMENTA[1]) * gradient.square()
     root = (square / (1 - MOMENTA[1] ** (step + 1))).sqrt()

@@ -1,4 +1,4 @@
-"""Adversarial shape and pose together."""
+"""Attack on shape and pose together."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shift3d.attack.trials import Search
 
 
 def joint_search(problem: AttackProblem, lambda_: float, space: CodeSpace, limits: PoseLimits) -> Search:
-    """min over z and theta of L_adv(z, theta) + lambda ||z - z0||^2, theta in B(theta0).
+    """Define min over z and theta of L_adv(z, theta) + lambda ||z - z0||^2, theta in B(theta0).
 
     The variable holds the space's coordinates, then the pose. Source: our choice: the paper searches one at a time.
     """

@@ -1,4 +1,4 @@
-"""Algorithm 1: projected gradient descent with a full re-rendering a step, best valid step kept."""
+"""Algorithm 1: projected gradient descent with a full re-rendering per step; the best valid step is kept."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ def descend(
     on_step: Callable[[StepRecord], None] | None = None,
     selection_window: int = 0,
 ) -> AttackResult:
-    """Plain gradient descent: v <- Proj[v - alpha dL/dv], `steps` times.
+    """Run plain gradient descent: v <- Proj[v - alpha dL/dv], `steps` times.
 
-    Of steps 1..steps the valid one with the lowest loss is kept; the start does not count unless none is
-    valid, and is then returned as best_step 0. A step found beyond the budget, or one without a gradient, as where no
-    beam meets the object, is followed by one half way back to the best so far. selection_window: see `best_step`.
-
-    Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01); the way back is our choice.
+    The valid step with the lowest loss among steps 1..steps is kept. Without a valid step the start is returned, as
+    best_step 0. After a step beyond the budget, or one without a gradient (for example if no beam meets the object),
+    the next variable is half way back to the best so far. selection_window: see `best_step`.
+    Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01); the step back is our choice.
     """
     trials = Trials(problem, search, on_step, every_step=selection_window > 0)
     variable = search.start.detach()
@@ -45,18 +44,17 @@ def descend(
 
 
 def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
-    """The valid step that is not the start with the lowest loss, the first of several; 0 where there is none.
+    """Return the number of the valid step with the lowest loss, starts excluded: the first of several, 0 if none.
 
-    selection_window: a step counts with the highest loss of itself and so many steps before and after it, which passes
-    over a local minimum of one step. 0 is the paper's rule.
-
+    selection_window: the loss of a step becomes the highest loss of the step and this many steps before and after it,
+    which avoids a local minimum of one step. 0 is the paper's rule.
     Source: SHIFT3D, Algorithm 1; the neighbours are our choice. docs/why/experiments.md compares both rules over 100
     shape attacks.
     """
     best, lowest = 0, math.inf
     for step in range(1, len(trace)):
         near = [record.loss for record in trace[max(step - selection_window, 1) : step + selection_window + 1]]
-        loss = float(np.max(near))  # NaN where one of them is
+        loss = float(np.max(near))  # NaN if one of the losses is NaN
         if trace[step].valid and not trace[step].is_start and loss < lowest:
             best, lowest = step, loss
     return best

@@ -1,4 +1,4 @@
-"""Searches and spaces by their names in settings and specs."""
+"""Names of searches and spaces in settings and specs."""
 
 from __future__ import annotations
 

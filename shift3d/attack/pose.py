@@ -1,4 +1,4 @@
-"""Adversarial pose: descend on the six numbers of theta, projected to the ball around the start."""
+"""Adversarial pose: descent on the six numbers of theta, projected to the ball around the start."""
 
 from __future__ import annotations
 
@@ -19,16 +19,14 @@ from shift3d.render.field.object_field import ObjectField
 
 @dataclass(frozen=True)
 class PoseLimits:
-    """The set B(theta0).
+    """The set B(theta0) of allowed poses.
 
     max_shift_m: largest Euclidean |dxy|. max_tilt_rad: largest |change| of pitch and of roll from theta0's, which are
-            those of the ground where the object was placed. Yaw is free.
-    snap_m: how far from the ground plane under its new place the object may come to rest; 0 leaves z to the
-            gradient.
-
-    Source: SHIFT3D, Adversarial Pose Generation Results: displacement under 4 m on the xy-plane, pitch and roll
-    under 0.1 rad, yaw free. z is our choice, the paper is silent: the object has to touch the ground within 2 cm,
-    which no gradient of the detector cares about, so z follows the ground (see `constraints.snap_to_ground`).
+    those of the ground at the object's placement. Yaw is free.
+    snap_m: largest vertical distance of the object from the ground plane at its new position; 0: the gradient moves z.
+    Source: SHIFT3D, Adversarial Pose Generation Results: displacement under 4 m on the xy-plane, pitch and roll under
+    0.1 rad, yaw free. z is our choice, the paper is silent: the object has to touch the ground within 2 cm, and no
+    gradient of the detector enforces that, so z follows the ground (see `constraints.snap_to_ground`).
     """
 
     max_shift_m: float = 4.0
@@ -41,7 +39,7 @@ PAPER_LIMITS = PoseLimits()
 
 
 def pose_search(problem: AttackProblem, limits: PoseLimits = PAPER_LIMITS) -> Search:
-    """min_theta L_adv(theta) over B(theta0) at a fixed shape. The ground-truth box moves along.
+    """Define min_theta L_adv(theta) over B(theta0) at a fixed shape. The ground-truth box moves with the pose.
 
     Source: SHIFT3D eq. loss_theta.
     """
@@ -63,17 +61,16 @@ def attack_pose(
     on_step: Callable[[StepRecord], None] | None = None,
     selection_window: int = 0,
 ) -> AttackResult:
-    """The paper's adversarial pose: plain descent on `pose_search`.
+    """Run the paper's adversarial pose attack: plain descent on `pose_search`.
 
-    selection_window: which step is kept, see `shift3d.attack.loop.best_step`.
-
+    selection_window: rule for the kept step, see `shift3d.attack.loop.best_step`.
     Source: SHIFT3D eq. loss_theta and Algorithm 1.
     """
     return descend(problem, pose_search(problem, limits), steps, alpha, on_step, selection_window)
 
 
 def drawn_pose(theta0: Tensor, rng: np.random.Generator, limits: PoseLimits) -> Tensor:
-    """A pose (6,) at random in B(theta0): shift uniform in the disc, yaw uniform, pitch and roll in the limits.
+    """Draw a random pose (6,) in B(theta0): shift uniform in the disc, yaw uniform, pitch and roll in the limits.
 
     Source: SHIFT3D, Adversarial Pose Generation Results ("random pose perturbations with the same constraints").
     """
@@ -86,13 +83,13 @@ def drawn_pose(theta0: Tensor, rng: np.random.Generator, limits: PoseLimits) -> 
 
 
 def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
-    """Nearest pose (6,) within the shift and tilt limits; z and yaw untouched.
+    """Return the nearest pose (6,) within the shift and tilt limits; z and yaw do not change.
 
     Source: SHIFT3D, Proj_B in Algorithm 1.
     """
     start = theta0.detach().to(theta.dtype)
     change = theta.detach() - start
-    # hypot, which does not square: the length of a step of 1e200 m is no infinity, and its direction is kept.
+    # hypot does not overflow: a step of 1e200 m has a finite length and keeps its direction.
     shift = torch.hypot(change[0], change[1])
     if float(shift) > limits.max_shift_m:
         change[:2] *= limits.max_shift_m / shift
@@ -101,11 +98,11 @@ def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
 
 
 def snapped(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
-    """The pose with its height on the ground under its new place.
+    """Return the pose with its height set to the ground at its position.
 
-    First the height of the ground plane there (where no ground is seen, the start's height), then up or down until it
-    touches a return, or the ground between them (`AttackProblem.below_ground_m`). Where nothing in reach carries it, as
-    on top of a wall, it stays at that first height, and the step breaks a constraint.
+    The height starts at that of the ground plane (if no ground is visible, at theta0's). The object then moves up or
+    down until it touches a return, or the ground between returns (`AttackProblem.below_ground_m`). If nothing in reach
+    carries it, for example on top of a wall, it stays at the first height, and the step breaks a constraint.
     """
     if limits.snap_m == 0 or not bool(torch.isfinite(theta).all()):
         return theta

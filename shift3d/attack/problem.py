@@ -1,4 +1,4 @@
-"""One object in one scene before one detector: everything a loss is a function of."""
+"""Attack problem: one object in one scene for one detector, with all inputs of the loss."""
 
 from __future__ import annotations
 
@@ -32,30 +32,29 @@ from shift3d.render.rendering import Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
 from shift3d.render.solvers.search import WarmStart
 
-if TYPE_CHECKING:  # nothing of effects is imported unless a scene calls for one
+if TYPE_CHECKING:  # effects are imported only for scenes that use one
     from shift3d.effects.chain import EffectChain
 
 
 @dataclass(frozen=True)
 class AttackProblem:
-    """What stays fixed during an attack.
+    """Everything that stays fixed during an attack.
 
     Attributes:
         beams: of the scene without the object. ground_z_m: the scene's.
         field_of: latent code (d,) -> field, such as `Decoder.field`.
-        vehicle: frame and size.
-        detector: attacked.
+        vehicle: frame and size. detector: the attacked detector.
         theta0: (6,) float64 start pose. code0: (d,) start code, dtype of the decoder.
-        constraints, settings: see there.
-        travel_m: how far the object may move.
-        kept_share: share of `constraints.min_object_points` that must remain during an attack. The rule is there
-            to keep out objects that the scene hides; a shape that shrinks or a pose that backs away loses points
-            without being hidden. Our choice: the paper is silent.
-        others: (M, 2) centres of the scene's own vehicles, to stay clear of.
-        space: `SdfGrid.of` the field of code0, where one is at hand: renderings of code0 get cheaper.
-        effects: what happens to beams beyond their first hit; None: nothing does, as in the paper.
-        below_ground_m: deepest that the object may reach below the plane of the ground, where between scan lines and in
-            shadows there is no point to hold it; 0: only points are asked, as in the paper. Our choice.
+        constraints, settings: see their classes.
+        travel_m: largest distance that the object may move.
+        kept_share: share of `constraints.min_object_points` that must remain during an attack. The constraint excludes
+            objects that the scene hides; a shape that shrinks or a pose that moves away loses points without being
+            hidden. Our choice: the paper is silent.
+        others: (M, 2) centres of the scene's own vehicles, from which the object keeps clear.
+        space: `SdfGrid.of` the field of code0, if available: renderings of code0 get cheaper.
+        effects: changes of beams beyond their first hit; None: no effects, as in the paper.
+        below_ground_m: largest depth of the object below the ground plane between scan lines and in shadows, where no
+            point limits it; 0: only points limit the object, as in the paper. Our choice.
     """
 
     beams: Beams
@@ -82,56 +81,56 @@ class AttackProblem:
         return torch.as_tensor(np.asarray(self.vehicle.size_m, dtype=np.float64))
 
     def metric(self, code: Tensor) -> ObjectField:
-        """The object's metric field for a code."""
+        """Return the object's metric field for a code."""
         s = self.settings
         return ObjectField.of(self.field_of(code), self.vehicle, s.dtype, s.batch, s.bfloat16_band_m)
 
     @property
     def limits(self) -> Constraints:
-        """The constraints as they hold during an attack."""
-        kept = math.ceil(self.kept_share * self.constraints.min_object_points)  # of one return, one: never none
+        """Constraints that hold during an attack."""
+        kept = math.ceil(self.kept_share * self.constraints.min_object_points)  # rounded up: one return stays one
         return replace(self.constraints, min_object_points=kept)
 
     def space_for(self, code: Tensor) -> SdfGrid | None:
-        """The SDF grid, if it belongs to this code."""
+        """Return the SDF grid if it belongs to this code, else None."""
         return self.space if torch.equal(code, self.code0) else None
 
     def incremental_inference(self) -> IncrementalInference:
-        """Incremental inference of the detector wherever an attack may move the object."""
+        """Create the detector's incremental inference for all places that an attack can move the object to."""
         window = window_around(self.detector, self.theta0, ATTACK_RADIUS_M + self.travel_m)
         assert window is not None
         return incremental_inference(self.detector, window)
 
     @property
     def cast_beams(self) -> Beams:
-        """The beams as they are cast: the rows of a rendering."""
+        """Beams that are cast: the rows of a rendering."""
         return self.beams if self.effects is None else self.effects.beams
 
     def insert(self, code: Tensor, theta: Tensor, warm: WarmStart | None = None) -> Rendering:
-        """Render the object of a code (d,) at a pose (6,), effects included. Differentiable w.r.t. both."""
+        """Render the object of a code (d,) at a pose (6,) with effects. Differentiable w.r.t. both."""
         sdf, space = self.field_of(code), self.space_for(code)
         if self.effects is None:
             return render(self.beams, sdf, theta, self.vehicle, self.settings, warm, space)
         return self.effects.render(sdf, theta, self.settings, warm, space)
 
     def points_near(self) -> Tensor:
-        """(M, 3) original returns that the object can reach wherever it is moved."""
+        """Return (M, 3) original returns that the object can reach during an attack."""
         if not self._near:
             reach = self.travel_m + float(self.size_m.norm()) / 2 + 1.0
             self._near.append(points_near(self.beams, self.theta0, reach))
         return self._near[0]
 
     def ground_at(self, theta: Tensor) -> GroundPlane | None:
-        """The plane of the ground under a pose (6,); None where too little of it is seen."""
+        """Fit the ground plane under a pose (6,); None if too little ground is visible."""
         place = _place(theta)
         if place not in self._planes:
             level = float(self.theta0[2] - self.size_m[2] / 2)
-            self._planes.clear()  # a search asks again for the place where it is
+            self._planes.clear()  # a search asks repeatedly for its current place only
             self._planes[place] = fit_ground(self.points_near().numpy(), place, level, self._footprint_m)
         return self._planes[place]
 
     def obstacles_at(self, theta: Tensor) -> Tensor:
-        """(M, 3) what the object may not enter at a pose (6,): original returns, and ground between scan lines."""
+        """Return (M, 3) points that the object may not enter at a pose (6,): returns, and ground between scan lines."""
         plane = self.ground_at(theta) if self.below_ground_m and bool(torch.isfinite(theta).all()) else None
         if plane is None:
             return self.points_near()
@@ -150,9 +149,9 @@ def _place(theta: Tensor) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Measurement:
-    """The loss of one code and pose. `adversarial` carries the graph back to both.
+    """The loss of one code and pose. `adversarial` carries the graph to both.
 
-    proposals: that the loss was taken over. proposal_score: the best of them near the object, before suppression.
+    proposals: input of the loss. proposal_score: highest score of a proposal near the object, before suppression.
     """
 
     adversarial: Tensor
@@ -164,13 +163,13 @@ class Measurement:
 
     @property
     def non_finite(self) -> int:
-        """NaN and infinities among the moved points, their ranges and the proposals; 0 by construction."""
+        """Number of NaN and infinities in the moved points, their ranges and the proposals; 0 by construction."""
         answers = self.proposals.boxes, self.proposals.logits
         return self.rendering.non_finite + sum(count_non_finite(part) for part in answers)
 
 
 def count_non_finite(values: Tensor) -> int:
-    """Number of NaN and infinities."""
+    """Count NaN and infinities."""
     return int((~torch.isfinite(values.detach())).sum())
 
 
@@ -184,9 +183,8 @@ def measure(
 ) -> Measurement:
     """Render, detect, and check the constraints.
 
-    radius_m: how far around the object proposals are looked at; None: the whole scene, as the paper does.
-    incremental: of this problem's detector, to be asked in its place: what an earlier measurement computed is reused.
-
+    radius_m: radius around the object within which proposals count; None: the whole scene, as in the paper.
+    incremental: incremental inference of the problem's detector, used in its place; it reuses earlier computations.
     Differentiable w.r.t. code and theta, through `adversarial`. Source: SHIFT3D, Algorithm 1.
     """
     start = time.perf_counter()
@@ -202,7 +200,7 @@ def measure(
     loss = adversarial_loss(proposals, box)
     score = proposal_score(proposals, box)
     detected = time.perf_counter()
-    # Whether the scene hides the object is asked of its first hits: fog is no reason to call a place impossible.
+    # First hits decide whether the scene hides the object: fog does not make a place invalid.
     seen = rendering.first_hits.object_points
     metric, obstacles, around = problem.metric(code), problem.obstacles_at(theta), rendering.first_hits.box
     held = check(metric, obstacles, theta, problem.size_m, seen, problem.limits, problem.others, around)

@@ -1,4 +1,4 @@
-"""What an attack hands back."""
+"""Results of an attack: a record for each step, and the kept solution."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from shift3d.render.field.object_field import VehicleFrame
 class StepRecord:
     """One rendering of an attack; step 0 is the start.
 
-    theta: (6,) pose. latent_distance: from the code of the start. loss: what is descended. adversarial_loss: its first
-    term. proposal_score: best score near the object before suppression. grazing_gradient: share of the gradient that
-    LEAVES this step carried by grazing beams, None where none leaves it (the last). least_slope: smallest |e . grad g|
-    of this step's hits, infinite where no gradient was taken. non_finite: NaN and infinities among the moved points,
-    the proposals, the loss and the gradient; 0 by construction. within_budget: False for a shape that was found to lie
-    beyond the budget of naturalness, see `trials.Search.natural`. is_start: the start, which comes again where a
-    descent from the best of several starts begins at it. milliseconds: by stage (placement, render, detector,
-    constraints, backward, naturalness), over every place that the loss is the mean over.
+    theta: (6,) pose. latent_distance: from the code of the start. loss: the descended value. adversarial_loss: its
+    first term. proposal_score: best score near the object before suppression. grazing_gradient: share of grazing beams
+    in the gradient that leads from this step to the next; None if no gradient was taken (last step). least_slope:
+    smallest |e . grad g| of this step's hits, infinite if no gradient was taken. non_finite: NaN and infinities among
+    the moved points, the proposals, the loss and the gradient; 0 by construction. within_budget: False for a shape
+    beyond the budget of naturalness, see `trials.Search.natural`. is_start: True for the start, also if it is evaluated
+    again because the best of several starts is the start itself. milliseconds: by stage (placement, render, detector,
+    constraints, backward, naturalness), summed over all places in the mean loss.
     """
 
     step: int
@@ -44,18 +44,17 @@ class StepRecord:
 
     @property
     def valid(self) -> bool:
-        """All constraints hold, and the budget where it was asked."""
+        """True if all constraints hold and the shape is not known to lie beyond the budget."""
         return self.check.valid and self.within_budget
 
 
 @dataclass(frozen=True)
 class AttackResult:
-    """The best valid step, or the start where no step was valid.
+    """The best valid step, or the start if no step was valid.
 
-    vehicle: whose frame the code is drawn in. latent_code: (d,). theta: (6,) float64.
-    best_step: 1..steps, or 0 where no step was valid and the baseline is kept. status: "ok"; "no_valid_step";
-    "diverged" where a step left the finite numbers (the search ended there, earlier steps count). trace: one record
-    per rendering, step 0 first.
+    vehicle: vehicle whose object frame renders the code. latent_code: (d,). theta: (6,) float64. best_step: 1..steps,
+    or 0 if no step was valid and the baseline is kept. status: "ok"; "no_valid_step"; "diverged" if a step was not
+    finite (the search ended there, earlier steps count). trace: one record per rendering, step 0 first.
     """
 
     vehicle: VehicleFrame
@@ -67,11 +66,11 @@ class AttackResult:
 
     @property
     def best(self) -> StepRecord:
-        """The record of the step that is kept."""
+        """Record of the kept step."""
         return self.trace[self.best_step]
 
     def milliseconds(self) -> dict[str, float]:
-        """Total by stage."""
+        """Sum the time of all steps by stage."""
         total: dict[str, float] = {}
         for record in self.trace:
             for stage, value in record.milliseconds.items():

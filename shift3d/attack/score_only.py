@@ -1,4 +1,4 @@
-"""Searches that ask for no gradient: draws at random, and evolution."""
+"""Gradient-free searches: random draws and evolution."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.trials import FREE_DISTANCE, Family, Search, Trials
 
 SIGMA = 0.3
-"""First standard deviation of an evolution, in the variable's units (our choice)."""
+"""Initial standard deviation of an evolution, in the variable's units (our choice)."""
 
 
 def draw_best(
@@ -26,11 +26,11 @@ def draw_best(
     distance: float = FREE_DISTANCE,
     family: Family | None = None,
 ) -> AttackResult:
-    """The best of so many draws: what a search has to beat.
+    """Return the best of `evaluations` random draws, as a comparison for a search.
 
-    evaluations: draws, after the baseline, which is step 0 and does not count. distance: see `Search.draw`. family:
-    kinds, one of them at random for each draw; None: the draws are the search's own. A draw that would be the best and
-    lies beyond the budget is followed by one half way back.
+    evaluations: draws after the baseline, which is step 0 and does not count. distance: see `Search.draw`. family:
+    kinds, one at random for each draw; None: the search's own draws. If a draw would be the best but lies beyond the
+    budget, the next candidate is half way back to the best so far.
     Returns: the valid draw with the lowest loss. Source: our choice: the paper's random objects are one draw each.
     """
     trials = Trials(problem, search, differentiable=False)
@@ -45,11 +45,11 @@ def draw_best(
 
 
 def evolve(problem: AttackProblem, search: Search, evaluations: int, rng: np.random.Generator) -> AttackResult:
-    """CMA-ES from the baseline on the loss alone; a candidate beyond the hard constraints is projected first.
+    """Run CMA-ES from the baseline on the loss alone; candidates beyond the hard constraints are projected first.
 
     An invalid candidate ranks behind every valid one of its generation.
-    Args: evaluations: renderings after the baseline's; the last generation may be cut short and then teaches nothing.
-        rng: the only source of randomness.
+    Args: evaluations: renderings after the baseline's; a last generation that is cut short does not update the
+    strategy. rng: the only source of randomness.
     Returns: the valid step with the lowest loss.
     Source: Hansen 2016, by the cma package; ranking by validity is our choice.
     """
@@ -59,7 +59,7 @@ def evolve(problem: AttackProblem, search: Search, evaluations: int, rng: np.ran
     trials.evaluate(search.start, False)
     start = search.start.detach().double().numpy()
     options: dict[str, Any] = {
-        "seed": math.nan,  # its random numbers are ours, numpy's global state is left alone
+        "seed": math.nan,  # randn supplies the random numbers; numpy's global state is not touched
         "randn": lambda count, length: rng.standard_normal((count, length)),
         "verbose": -9,
         "maxiter": math.inf,
@@ -82,9 +82,9 @@ def _projected(search: Search, vector: np.ndarray) -> Tensor:
 
 
 def _ranked(records: list[StepRecord]) -> list[float]:
-    """The places of a generation's members, best first: valid ones by their loss, then the others by theirs.
+    """Rank the members of a generation, best first: valid members by loss, then invalid members by loss.
 
-    A loss that is no number, which would leave the others in no order, ranks as infinite.
+    A NaN loss, which would leave the order undefined, ranks as infinite.
     """
     loss = [math.inf if math.isnan(record.loss) else record.loss for record in records]
     order = sorted(range(len(records)), key=lambda index: (not records[index].valid, loss[index], index))

@@ -1,4 +1,4 @@
-"""Adversarial shape: a search over codes."""
+"""Adversarial shape: a search over latent codes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from shift3d.attack.trials import Elsewhere, Search
 from shift3d.placement.constraints import snap_to_ground
 
 SNAP_M = 0.35
-"""How far a shape's height may follow the ground, metres. Our choice, see `shape_search`."""
+"""Largest change of the height by which a shape follows the ground, metres. Our choice, see `shape_search`."""
 
 
 def shape_search(
@@ -26,19 +26,17 @@ def shape_search(
     snap_m: float = SNAP_M,
     elsewhere: Sequence[AttackProblem] = (),
 ) -> Search:
-    """min_z L_adv(z) + lambda ||z - z0||^2 at a fixed pose.
+    """Define min_z L_adv(z) + lambda ||z - z0||^2 at a fixed pose.
 
     Args:
-        problem: scene, object, detector.
-        lambda_: weight of the latent distance, >= 0.
-        space: where z may go; None: anywhere.
-        snap_m: how far the object's height may follow its shape so that it keeps standing on the ground; 0
-            leaves the pose alone.
-        elsewhere: the same vehicle in other scenes. Where some are given, L_adv is the mean over all of them: the
-            shape is a universal one. Its constraints are those of the problem itself.
-
-    Source: SHIFT3D eq. loss_z. The height is our choice: a wheel base that rises by 2 cm would
-    leave the object hanging in the air and end the search; a real vehicle of that shape stands lower.
+        problem: scene, object, detector. lambda_: weight of the latent distance, >= 0.
+        space: allowed codes; None: all codes.
+        snap_m: largest change of the height by which the object stays on the ground as its shape changes; 0: the pose
+            is fixed.
+        elsewhere: the same vehicle in other scenes. If given, L_adv is the mean over all scenes: the shape is a
+            universal one. The constraints are those of `problem` alone.
+    Source: SHIFT3D eq. loss_z. The height is our choice: a wheel base that rises by 2 cm would leave the object in the
+    air and end the search; a real vehicle of that shape would be lower.
     """
     space = space or free_space(problem.code0)
 
@@ -49,7 +47,7 @@ def shape_search(
     return Search(
         start=space.start,
         parameters=parameters,
-        # Without lambda there is none, be it infinite: 0 times infinity is NaN.
+        # lambda 0 needs its own case, because an infinite penalty times 0 is NaN.
         penalty=lambda u: lambda_ * latent_penalty(space.code(u), problem.code0) if lambda_ else u.new_zeros(()),
         project=space.project,
         draw=space.draw,
@@ -66,17 +64,17 @@ def attack_shape(
     on_step: Callable[[StepRecord], None] | None = None,
     selection_window: int = 0,
 ) -> AttackResult:
-    """The paper's adversarial shape: plain descent on `shape_search` over every code.
+    """Run the paper's adversarial shape attack: plain descent on `shape_search` over every code.
 
-    alpha: step size. steps: re-renderings after the first. on_step: called with every record as it is made.
-    selection_window: which step is kept, see `shift3d.attack.loop.best_step`.
+    alpha: step size. steps: re-renderings after the first. on_step: called with each new record. selection_window: rule
+    for the kept step, see `shift3d.attack.loop.best_step`.
     Source: SHIFT3D eq. loss_z and Algorithm 1.
     """
     return descend(problem, shape_search(problem, lambda_, snap_m=snap_m), steps, alpha, on_step, selection_window)
 
 
 def on_ground(code: Tensor, problem: AttackProblem, snap_m: float) -> Tensor:
-    """theta0 (6,) with its height on the ground under the shape of a code; theta0 where there is none in reach."""
+    """Return theta0 (6,) with the height at which a code's shape is on the ground; theta0 if no ground is in reach."""
     start = problem.theta0
     if snap_m == 0:
         return start

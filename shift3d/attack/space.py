@@ -1,4 +1,4 @@
-"""Where a shape search may go: every code, a subspace of codes within a ball, or a generator's parameters in a box."""
+"""Spaces of shape searches: every code, a subspace of codes within a ball, or a generator's parameters in a box."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from shift3d.vehicles.parameter_box import BoxOfParameters
 
 @dataclass(frozen=True)
 class CodeSpace:
-    """Codes that a shape search may visit: z = code(u) for coordinates u (k,) that `project` leaves alone.
+    """Codes that a shape search may visit: z = code(u) for coordinates u (k,) that `project` does not change.
 
-    start: of the baseline's code. draw: (generator, latent distance) -> coordinates at random; see `Search.draw`.
+    start: coordinates of the baseline's code. draw: (generator, latent distance) -> random coordinates; see
+    `Search.draw`.
     """
 
     start: Tensor
@@ -31,7 +32,7 @@ class CodeSpace:
 
 
 def free_space(code0: Tensor) -> CodeSpace:
-    """Every code, as in the paper; the coordinates are the code itself."""
+    """Return the space of every code, as in the paper; the coordinates are the code itself."""
 
     def draw(rng: np.random.Generator, distance: float) -> Tensor:
         return random_code(code0, distance, rng)
@@ -40,23 +41,23 @@ def free_space(code0: Tensor) -> CodeSpace:
 
 
 def _linear(code0: Tensor, start: Tensor, basis: Tensor) -> Callable[[Tensor], Tensor]:
-    """Coordinates (k,) to codes: z0 at `start`, and basis (k, d) by what they differ from it."""
+    """Return the map from coordinates (k,) to codes: z0 at `start`, linear in the difference by basis (k, d)."""
     return lambda u: (code0.detach().double() + (u - start) @ basis).to(code0.dtype)
 
 
 KIN = 0.5
-"""Standard deviation of draws about a known code, in those of all known codes; our choice: a vehicle much like it."""
+"""Standard deviation of draws around a known code, in units of all known codes' (our choice: a similar vehicle)."""
 
 
 def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where: str, near: bool = False) -> CodeSpace:
-    """The plane through the baseline's code along the principal components of known codes, within an ellipsoid.
+    """Return the plane through the baseline's code along principal components of known codes, within an ellipsoid.
 
-    Coordinates are standard deviations of the known codes along each component, counted from their mean. Their length
-    is at most that of 95 % of a Gaussian's draws, or the baseline's own where that is longer. What the baseline's code
-    has beside the components it keeps.
+    Coordinates are standard deviations of the known codes along each component, relative to their mean. The length of
+    the coordinates is at most that of 95 % of a Gaussian's draws, or the baseline's own if that is longer. The part of
+    the baseline's code outside the components stays unchanged.
 
-    Args: code0: (d,). codes: (N, d) known ones. components: k. where: whose codes they are, for messages.
-        near: draws are the baseline's code moved by `KIN` along each component; False: draws of that Gaussian.
+    Args: code0: (d,). codes: (N, d) known codes. components: k. where: owner of the codes, for messages. near: draws
+    are the baseline's code moved by `KIN` along each component; False: draws of that Gaussian.
     Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
     Source: SHIFT3D's supplement takes 10 principal components to reconstruct vehicles; the ellipsoid is our choice.
     """
@@ -77,7 +78,7 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
 
 
 def parameter_space(code0: Tensor, box: BoxOfParameters) -> CodeSpace:
-    """A vehicle's own kind: its parameters within the ranges of that kind.
+    """Return the space of a vehicle's own kind: its parameters within the ranges of that kind.
 
     Coordinates run from -1 to 1 over each range. Source: our choice.
     """
@@ -92,10 +93,10 @@ def parameter_space(code0: Tensor, box: BoxOfParameters) -> CodeSpace:
 
 
 def edited_code(code0: Tensor, box: BoxOfParameters, edit: str, where: str) -> Tensor:
-    """A vehicle's code (d,) with one of its parameters put elsewhere in its kind's range.
+    """Compute a vehicle's code (d,) with one parameter set to another place in the range of the vehicle's kind.
 
-    edit: "NAME:PLACE", the place from -1 (the lowest of its kind) to 1. where: whose code it is, for messages.
-    Raises: InputError for a parameter that the kind does not leave open, or a place beyond its range.
+    edit: "NAME:PLACE", PLACE from -1 (the lowest of the kind) to 1. where: owner of the code, for messages.
+    Raises: InputError for a parameter that is not free in the kind, or a place outside its range.
     """
     name, _, text = edit.rpartition(":")
     if name not in box.names:

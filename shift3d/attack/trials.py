@@ -1,4 +1,4 @@
-"""What every search does over and over: make an object of a variable, render it, ask the detector, note the step."""
+"""Evaluation loop of every search: variable -> object -> rendering -> detector -> step record."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from shift3d.render.field.object_field import VehicleFrame
 from shift3d.render.solvers.search import WarmStart
 
 FREE_DISTANCE = 0.2
-"""Latent distance of draws in the free space; the paper's solutions lie about so far from their baselines."""
+"""Latent distance of draws in the free space; about the distance of the paper's solutions from their baselines."""
 Parameters = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
 class Elsewhere:
-    """Another place for the same shape, whose loss counts as much. stands: code (d,) -> its pose (6,) there."""
+    """Another place for the same shape, with equal weight in the loss. stands: code (d,) -> its pose (6,) there."""
 
     problem: AttackProblem
     stands: Callable[[Tensor], Tensor]
@@ -34,14 +34,14 @@ class Elsewhere:
 
 @dataclass(frozen=True)
 class Search:
-    """What is searched, whatever searches it.
+    """The optimization problem of a search, independent of the search algorithm.
 
-    start: first value of the variable. parameters: variable -> (code, theta). penalty: variable -> scalar added
-    to the loss. project: variable -> nearest variable that satisfies the hard constraints. draw: (generator, latent
-    distance) -> a variable at random among those that the search may visit; where these have no bound, as codes of the
-    free space have none, one at that distance from the start. elsewhere: other places that a universal shape is for.
-    natural: of a code (d,), whether it lies within the budget of naturalness; None: there is none. It takes long, and
-    is asked only of what would be kept: a valid step with a loss below all others.
+    start: first value of the variable. parameters: variable -> (code, theta). penalty: variable -> scalar added to the
+    loss. project: variable -> nearest variable that satisfies the hard constraints. draw: (generator, latent distance)
+    -> random variable within the allowed set; if the set has no bound, as in the free space of codes, one at that
+    distance from the start. elsewhere: other places in the loss of a universal shape. natural: code (d,) -> True if the
+    code is within the budget of naturalness; None: no budget. The check is slow and runs only for candidates for the
+    kept step: a valid step with a loss below all others.
     """
 
     start: Tensor
@@ -55,10 +55,10 @@ class Search:
 
 @dataclass(frozen=True)
 class Family:
-    """The kinds of vehicle that a search may turn to, at one place before one detector.
+    """The kinds of vehicle that a search may switch to, at one place before one detector.
 
-    order: the kinds' numbers, as starts take them in turn. of: the problem and the search of one, by its number; each
-    has coordinates of its own.
+    order: numbers of the kinds, in the order in which starts use them. of: number -> problem and search of the kind;
+    each kind has coordinates of its own.
     """
 
     order: tuple[int, ...]
@@ -66,9 +66,9 @@ class Family:
 
 
 def unusual_first(codes: NDArray[np.float32], known: NDArray[np.float32]) -> tuple[int, ...]:
-    """Numbers of codes (N, d), that farthest from the mean of the known ones (M, d) first.
+    """Return the numbers of codes (N, d), farthest from the mean of the known codes (M, d) first.
 
-    What is rare is what a detector has learned least of. Source: our choice.
+    A detector has learned least about rare shapes. Source: our choice.
     """
     away = np.linalg.norm(codes.astype(np.float64) - known.mean(axis=0, dtype=np.float64), axis=1)
     return tuple(np.argsort(-away, kind="stable").tolist())
@@ -77,10 +77,10 @@ def unusual_first(codes: NDArray[np.float32], known: NDArray[np.float32]) -> tup
 class Trials:
     """The evaluations of one search, in their order.
 
-    Renderings start from the last one's hits, and the detector computes again only what a move has changed.
-    held: where a step that leads nowhere goes back to: the best variable so far, or the search's start. differentiable:
-    False for searches that never ask for a gradient; nothing is then kept for one. every_step: whether
-    every valid step is asked for its naturalness, for a search that may keep another than the lowest.
+    Each rendering starts from the last one's hits, and the detector computes only what a move has changed. held:
+    variable to which an unsuccessful step goes back: the best so far, or the search's start. differentiable: False for
+    searches that never use a gradient; then no graph is kept. every_step: check the naturalness of every valid step,
+    for a search that may keep another step than the lowest.
     """
 
     def __init__(
@@ -94,28 +94,28 @@ class Trials:
         self.trace: list[StepRecord] = []
         self.variables: list[Tensor] = []
         self._on_step, self._differentiable, self._every_step = on_step, differentiable, every_step
-        self._lowest = math.inf  # loss of a valid step after the start
+        self._lowest = math.inf  # lowest loss of a valid step after the start
         self._code0 = problem.code0
         self._tried: list[tuple[VehicleFrame, Tensor, Tensor]] = []
         self.turn_to(problem, search)
         self._incremental = [place.problem.incremental_inference() for place in self._places]
 
     def turn_to(self, problem: AttackProblem, search: Search) -> None:
-        """Go on with a vehicle of another kind before the same detector, at the same places."""
+        """Switch to a vehicle of another kind with the same detector and places."""
         self._problem, self._search, self.held = problem, search, search.start.detach()
-        # Of the search's own place and of those elsewhere, in this order.
+        # The search's own place, then the others.
         self._places = [Elsewhere(problem, lambda code: problem.theta0), *search.elsewhere]
         self._warm: list[WarmStart | None] = [None] * len(self._places)
 
     def evaluate(
         self, variable: Tensor, with_gradient: bool, shifts: Sequence[Tensor] = (), again: bool = False
     ) -> Tensor | None:
-        """Try a variable and note it as the next step; returns the loss' gradient, None where none is asked for.
+        """Evaluate a variable and record it as the next step; returns the gradient of the loss, None if not asked for.
 
         shifts: changes of the pose, (6,) each; loss and gradient are the mean over the pose, its shifts, and the
-        search's places elsewhere. Whether the step is valid is asked of the pose itself, which is measured first.
-        again: the start comes once more, where a descent begins: it is no solution.
-        A loss that does not depend on the variable (no hit, no overlapping proposal) has the gradient 0.
+        search's other places. The validity of the step is that of the unshifted pose, which is measured first. again:
+        the variable is the start, evaluated again where a descent begins; it is no solution. A loss that does not
+        depend on the variable (no hit, no overlapping proposal) has the gradient 0.
         """
         variable = variable.detach().clone().requires_grad_(self._differentiable)
         start = time.perf_counter()
@@ -129,7 +129,7 @@ class Trials:
         for number, (index, pose) in enumerate(poses):
             problem = self._places[index].problem
             measured = measure(problem, code, pose, self._warm[index], incremental=self._incremental[index])
-            if index or first is None:  # a shifted pose is no place to start from
+            if index or first is None:  # a shifted pose is no warm start
                 self._warm[index] = measured.rendering.warm
             first = first or measured
             for stage, milliseconds in measured.milliseconds.items():
@@ -150,16 +150,16 @@ class Trials:
         return gradient
 
     def back(self) -> Tensor:
-        """Half way from the last variable to the one that is held."""
+        """Return the point half way from the last variable to the held one."""
         return torch.lerp(self.held, self.variables[-1], 0.5)
 
     def result(self, kept: int, diverged: bool = False) -> AttackResult:
-        """The search's answer. kept: the step that is kept, 0 where no step was valid."""
+        """Build the result of the search. kept: number of the kept step, 0 if no step was valid."""
         status = "diverged" if diverged else "ok" if kept else "no_valid_step"
         return AttackResult(*self._tried[kept], kept, status, tuple(self.trace))
 
     def _with_budget(self, record: StepRecord, code: Tensor, variable: Tensor) -> StepRecord:
-        """The record, with what the budget says of it where that matters."""
+        """Return the record with the result of the budget check, if the check matters for this step."""
         lowest = record.loss < self._lowest
         if record.is_start or not record.valid or not (lowest or self._every_step):
             return record
@@ -203,7 +203,7 @@ class Trials:
 
 
 def _gradient(loss: Tensor, variable: Tensor, share: float, more: bool) -> tuple[Tensor, float]:
-    """share * dL/dv and the milliseconds it took; more: the graph is needed again."""
+    """Compute share * dL/dv and the milliseconds it took; more: the graph is needed again."""
     start = time.perf_counter()
     if not loss.requires_grad:
         return torch.zeros_like(variable), 0.0

@@ -1,4 +1,4 @@
-"""Inserting a vehicle into a LiDAR scene: beams, first hits, implicit gradients."""
+"""Renderer: inserts a vehicle into a LiDAR scene (beams, first hits, implicit gradients)."""
 
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import Field, VehicleFrame

@@ -1,4 +1,4 @@
-"""LiDAR beams of a scene: where each starts, where it points, how far it went; and where they first meet an object."""
+"""LiDAR beams of a scene, and the first hits of beams on an object."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Beams:
-    """Beams x = s + k e of one scene, scene frame, in the order of its points.
+    """Beams x = s + k e of one scene in the scene frame, in the order of the scene's points.
 
     Attributes:
-        points: (N, 3) the original returns, metres, in the scene's own dtype; never changed.
-        origins: (N, 3) float64 sensor positions s, metres (a broadcast view where all are the same).
-        directions: (N, 3) float64 unit vectors e; zero where there is no beam.
-        ranges_m: (N,) float64 distances k of the returns; zero where there is no beam.
-        carries: (N,) bool, False where a row carries no beam: range zero or not finite.
-
+        points: (N, 3) original returns, metres, in the scene's own dtype; never changed.
+        origins: (N, 3) float64 sensor positions s, metres (a broadcast view if all positions are equal).
+        directions: (N, 3) float64 unit vectors e; zero for a row without a beam.
+        ranges_m: (N,) float64 ranges k of the returns; zero for a row without a beam.
+        carries: (N,) bool mask of the rows that carry a beam; False if the range is zero or not finite.
     Source: SHIFT3D, Algorithm 1, lines 1 and 2.
     """
 
@@ -39,20 +38,21 @@ class Beams:
         return int(self.points.shape[0])
 
     def same_as(self, other: Beams) -> bool:
-        """Whether these are the other's beams, row by row."""
+        """True if the beams equal those of `other` row by row."""
         parts = ("directions", "ranges_m", "origins")
         return self is other or all(torch.equal(getattr(self, name), getattr(other, name)) for name in parts)
 
     @staticmethod
     def from_scene(scene: Scene) -> Beams:
-        """Beams of a scene, each from its own sensor origin."""
+        """Build the beams of a scene, each from its own sensor origin."""
         return Beams.from_arrays(scene.points, scene.origins)
 
     @staticmethod
     def of_main_sensor(scene: Scene) -> Beams:
-        """Beams of a scene, all from one place: where they start if they start in one place, else the scene's origin.
+        """Build the beams of a scene with one common origin, as in the paper's model of a sensor.
 
-        The paper's model of a sensor; scenes of several sensors call for the effect `origins`.
+        The origin is the sensor position that all beams share, else that of the scene frame. For several sensors use
+        the effect `origins`.
         """
         origins = scene.origins
         one = bool((origins == origins[:1]).all())
@@ -60,14 +60,12 @@ class Beams:
 
     @staticmethod
     def from_arrays(points: np.ndarray | Tensor, origins: np.ndarray | Tensor) -> Beams:
-        """Beams from returns and sensor origins.
+        """Build beams from returns and sensor origins.
 
         Args:
             points: (N, 3) returns, metres, scene frame, float32 or float64.
             origins: (N, 3) or (3,) sensor positions, metres, scene frame.
-
-        Raises:
-            InputError: shapes that do not fit.
+        Raises: InputError: shapes that do not fit.
         """
         points_t = torch.as_tensor(np.ascontiguousarray(points) if isinstance(points, np.ndarray) else points)
         origins_t = _origins(origins, points_t)
@@ -82,14 +80,14 @@ class Beams:
 
 @dataclass(frozen=True)
 class FirstHits:
-    """First crossings of g = 0, found by either renderer.
+    """First crossings of g = 0 along beams, found by any of the solvers.
 
     Attributes:
-        index: (M,) beams that hit, ascending.
-        range_m: (M,) float64 distance of the crossing from the sensor.
-        residual_m: (M,) float64 |metric g| there.
-        unresolved: (U,) beams that could not be decided, ascending: sensor inside the object, or out of
-            iterations. They stay where they are.
+        index: (M,) indices of the beams that hit, ascending.
+        range_m: (M,) float64 range of the crossing from the sensor.
+        residual_m: (M,) float64 |metric g| at the crossing.
+        unresolved: (U,) undecided beams, ascending, whose points stay: the sensor is inside the object, the field is
+            not finite, or the iterations ran out.
     """
 
     index: Tensor
@@ -99,7 +97,7 @@ class FirstHits:
 
     @staticmethod
     def none() -> FirstHits:
-        """No hit and nothing unresolved."""
+        """Return a result without hits and without unresolved beams."""
         index, value = torch.empty(0, dtype=torch.long), torch.empty(0, dtype=torch.float64)
         return FirstHits(index, value, value, index)
 

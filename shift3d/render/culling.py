@@ -1,4 +1,4 @@
-"""Which beams can meet the object, and on which stretch of their length."""
+"""Culling: selects the beams that can meet the object and clips them to its bounding box."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shift3d.geometry.se3 import scene_R_object
 from shift3d.render.beams import Beams
 
 SPHERE_RADIUS_M = 7.0
-"""Radius of the sphere around the object outside which beams are left alone. Source: SHIFT3D, Setup."""
+"""Radius of the sphere around the object; beams outside the sphere are not moved. Source: SHIFT3D, Setup."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Box:
         return isinstance(other, Box) and torch.equal(self.lower, other.lower) and torch.equal(self.upper, other.upper)
 
     def grown(self, margin_m: float) -> Box:
-        """The box with every face moved out."""
+        """Return the box with every face moved outwards by a margin."""
         return Box(self.lower - margin_m, self.upper + margin_m)
 
     @property
@@ -37,9 +37,9 @@ class Box:
 
 @dataclass(frozen=True)
 class Rays:
-    """Stretches of beams in the object frame, float64: x = origin + k direction, near_m <= k <= far_m.
+    """Segments of beams in the object frame, float64: x = origin + k direction, near_m <= k <= far_m.
 
-    `index` (M,) says which beam of the scene each is.
+    index: (M,) index of each ray's beam in the scene.
     """
 
     index: Tensor
@@ -52,24 +52,24 @@ class Rays:
         return int(self.index.shape[0])
 
     def at(self, k: Tensor, rows: Tensor | None = None) -> Tensor:
-        """Object-frame points at ranges k of all rays or of some rows."""
+        """Compute the object-frame points at ranges k of all rays, or of the given rows."""
         if rows is None:
             return torch.addcmul(self.origins, k[:, None], self.directions)
         return torch.addcmul(self.origins[rows], k[:, None], self.directions[rows])
 
     def select(self, rows: Tensor) -> Rays:
-        """Some of the rays, by row or by mask."""
+        """Select rays by row number or by mask."""
         return Rays(*take((self.index, self.origins, self.directions, self.near_m, self.far_m), rows))
 
 
 def take(parts: Iterable[Tensor], rows: Tensor) -> Iterator[Tensor]:
-    """Some rows of each of the tensors (M, ...), by number or by a mask (M,): a third of what indexing takes."""
+    """Select rows of each tensor (M, ...) by number or by mask (M,); takes a third of the time of indexing."""
     numbers = torch.nonzero(rows).squeeze(1) if rows.dtype == torch.bool else rows
     return (part.index_select(0, numbers) for part in parts)
 
 
 def rows_of(index: Tensor, among: Tensor) -> Tensor:
-    """(M,) where each of some numbers (M,) stands among others (K,), ascending; -1 where it does not."""
+    """Return (M,) the position of each number (M,) in the ascending numbers `among` (K,); -1 if absent."""
     if len(among) == 0:
         return torch.full_like(index, -1)
     at = torch.searchsorted(among, index).clamp_max(len(among) - 1)
@@ -77,7 +77,7 @@ def rows_of(index: Tensor, among: Tensor) -> Tensor:
 
 
 def beams_near(beams: Beams, centre: Tensor, radius_m: float) -> Tensor:
-    """(M,) indices of the beams that pass within radius_m of centre (3,), between sensor and return.
+    """Find the beams that pass within radius_m of centre (3,) between sensor and return. Returns (M,) indices.
 
     Source: SHIFT3D, Setup: a beam that lies completely outside the sphere is ignored.
     """
@@ -93,7 +93,7 @@ def _one_origin(beams: Beams) -> bool:
 
 
 def object_rays(beams: Beams, index: Tensor, theta: Tensor) -> Rays:
-    """Whole beams, sensor to return, in the frame of an object at pose theta (6,)."""
+    """Transform whole beams, sensor to return, into the frame of an object at pose theta (6,)."""
     theta = theta.detach().double()
     rotation = scene_R_object(theta)
     origins = (beams.origins[index] - theta[:3]) @ rotation
@@ -102,10 +102,10 @@ def object_rays(beams: Beams, index: Tensor, theta: Tensor) -> Rays:
 
 
 def clip_to_box(rays: Rays, lower: Tensor, upper: Tensor) -> Rays:
-    """The rays that cross an axis-aligned box in the object frame, cut to their stretch inside it.
+    """Clip rays to an axis-aligned box in the object frame; drop the rays that miss the box.
 
-    A ray parallel to a face never divides by its zero component: it is inside that slab for all k or
-    for none (a ray that runs in the face itself is inside).
+    A ray parallel to a face is inside that slab for all k or for none, without a division by zero. A ray in a face is
+    inside.
     """
     parallel = rays.directions.abs() < 1e-12
     safe = torch.where(parallel, 1.0, rays.directions)
@@ -120,6 +120,6 @@ def clip_to_box(rays: Rays, lower: Tensor, upper: Tensor) -> Rays:
 
 
 def rays_in_box(beams: Beams, theta: Tensor, box: Box) -> Rays:
-    """Beams that cross the object's box, cut to their stretch inside it; object frame."""
+    """Clip the beams to the object's box. Returns rays in the object frame; beams that miss the box are dropped."""
     index = beams_near(beams, theta[:3].detach(), box.radius_m)
     return clip_to_box(object_rays(beams, index, theta), box.lower, box.upper)

@@ -1,18 +1,18 @@
-"""Points on the surface as differentiable functions of latent code and pose, in one backward pass.
+"""Hit points as differentiable functions of latent code and pose (implicit differentiation), in one backward pass.
 
-At a hit, g(z, T(s + k e; theta)) = 0 defines k. With the found k* held fixed,
+At a hit, g(z, T(s + k e; theta)) = 0 defines k. With the found root k* held fixed,
 
     k = k* - [g(z, T(s + k* e; theta)) - g*] / stop(dg/dk),    x = s + k e
 
-has the value x* and exactly the derivatives of equations z_final and theta_final, so that one backward pass
-through x does what the paper does in three.
+has the value x* and exactly the derivatives of equations z_final and theta_final. One backward pass through x therefore
+does what the paper does in three.
 
-Grazing beams. dg/dk = e . grad g tends to 0 at the silhouette and the derivative of k grows without bound,
-although the beam itself is about to leave the object. Our choice (the paper is silent): |dg/dk| is floored at
-`min_n_dot_d` (0.2, an angle of 78 degrees; docs/why/accuracy.md). A beam below it keeps the sign and direction of its
-gradient and loses only length: no surface motion is amplified more than five times. Dropping such beams would hide the
-silhouette from the attack; sharing their gradient out would couple beams. A floor of 0 is the paper's formula; there, a
-beam with dg/dk exactly 0 gets no gradient instead of NaN.
+Grazing beams. At the silhouette dg/dk = e . grad g tends to 0 and the derivative of k grows without bound, although the
+beam itself is about to leave the object. Our choice (the paper is silent): |dg/dk| is floored at `min_n_dot_d` (0.2, an
+angle of 78 degrees; docs/why/accuracy.md). The gradient of a beam below the floor keeps its sign and direction and only
+becomes shorter: no surface motion is amplified more than five times. Dropping grazing beams would hide the silhouette
+from the attack; distributing their gradient over other beams would couple the beams. A floor of 0 is the paper's
+formula; with it, a beam with dg/dk exactly 0 gets no gradient instead of NaN.
 """
 
 from __future__ import annotations
@@ -42,22 +42,17 @@ def surface_points(
     polish: bool = False,
     known: Linearization | None = None,
 ) -> tuple[Tensor, FirstHits, GrazingShare, Linearization | None]:
-    """Hit points as functions of pose and latent code.
+    """Compute hit points as functions of pose and latent code.
 
     Args:
-        beams: the scene's beams.
-        hits: first crossings.
+        beams: the scene's beams. hits: first crossings. theta: (6,) pose, scene frame.
         field: metric distance in the object frame; may depend on a latent code.
-        theta: (6,) pose, scene frame.
         min_n_dot_d: smallest |e . grad g| to divide by.
-        polish: g and its slope are at hand here: take the Newton step that they make, where it is shorter than 2 mm.
+        polish: take a last Newton step if it is shorter than 2 mm; g and its slope are known here.
         known: linearization that the search has made at some of the hits.
-
     Returns:
-        (M, 3) float64 points, scene frame, metres; the hits, polished, their residual being the one before that
-        step; the share of the gradient that grazing beams carry; and the linearization at all hits, None where nobody
-        asks for a gradient.
-
+        (M, 3) float64 points, scene frame, metres; the hits, polished, with the residual before the Newton step; the
+            share of the gradient on grazing beams; the linearization at all hits, None if no gradient is wanted.
     Differentiable w.r.t. theta and whatever the field depends on.
     Source: SHIFT3D eqs. dl_dz to theta_final and supplement, Gradient Calculation.
     """
@@ -71,7 +66,7 @@ def surface_points(
     slope = (linearization.gradient * (directions @ scene_R_object(pose.detach()))).sum(-1)
     if polish:
         hits = _polished(hits, linearization.g, slope)
-    # Hits go from outside to inside, so the slope is negative; a wrong sign is noise about zero.
+    # At a hit a beam goes from outside to inside, so the slope is negative; a positive slope is noise about zero.
     steep = -slope.neg().clamp_min(min_n_dot_d)
     inverse = torch.where(steep < 0, 1.0 / torch.where(steep < 0, steep, 1.0), 0.0)
     range_m = hits.range_m - (change - change.detach()) * inverse
@@ -84,10 +79,10 @@ def surface_points(
 
 
 def _at_all(hits: FirstHits, known: Linearization | None, field: ObjectField, rays: Rays) -> Linearization:
-    """Linearization at every hit: those that are known, and the missing ones, evaluated.
+    """Return the linearization at every hit: the known ones, and new ones for the other hits.
 
-    The march may have found another surface in front of a place that is known, or none at all: only what was made at
-    the hit itself counts.
+    The search may have moved a hit to another surface in front, or removed it. A known linearization therefore counts
+    only if it was made at the hit's very range.
     """
     if known is None or len(known) == 0:
         return linearize(field, rays, hits.range_m)
@@ -99,13 +94,13 @@ def _at_all(hits: FirstHits, known: Linearization | None, field: ObjectField, ra
 
 
 def cosine_of(slope: Tensor, gradient: Tensor) -> Tensor:
-    """(M,) float64 |cosine| of incidence from e . grad g and grad g (M, 3); 0 where grad g is 0."""
+    """Compute (M,) float64 |cosine| of incidence from e . grad g and grad g (M, 3); 0 if grad g is 0."""
     length = gradient.norm(dim=-1)
     return torch.where(length > 0, slope.abs() / torch.where(length > 0, length, 1.0), 0.0).clamp_max(1.0)
 
 
 def cosine_of_incidence(directions: Tensor, points: Tensor, field: ObjectField, theta: Tensor) -> Tensor:
-    """(M,) float64 |cosine| between beams (M, 3) and the surface's normal at points (M, 3), scene frame.
+    """Compute (M,) float64 |cosine| between beams (M, 3) and the surface normal at points (M, 3), scene frame.
 
     Constant: not differentiable.
     """
@@ -118,12 +113,12 @@ def cosine_of_incidence(directions: Tensor, points: Tensor, field: ObjectField, 
 
 
 def wants_gradient(theta: Tensor, with_code: bool) -> bool:
-    """Whether anything can ask for the gradient of a rendering."""
+    """True if the gradient of a rendering can be asked for."""
     return torch.is_grad_enabled() and (with_code or theta.requires_grad)
 
 
 def _polished(hits: FirstHits, g: Tensor, slope: Tensor) -> FirstHits:
-    """One Newton step with the exact slope; none on beams that graze, where it may lead anywhere."""
+    """Take one Newton step with the exact slope, but not on grazing beams, where the step may lead anywhere."""
     step = -g / slope.clamp_max(NEWTON_SLOPE)
     step = torch.where((slope <= NEWTON_SLOPE) & (step.abs() <= _POLISH_M), step, 0.0)
     return replace(hits, range_m=hits.range_m + step, residual_m=g.abs())

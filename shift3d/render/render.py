@@ -1,4 +1,4 @@
-"""Insert an object into a scene: the one entry point of this package."""
+"""Entry point of the renderer: insert an object into a scene."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def render(
     warm: WarmStart | None = None,
     grid: SdfGrid | None = None,
 ) -> Rendering:
-    """Move every return whose beam meets the object to the first crossing of its surface.
+    """Move every return whose beam meets the object to the first crossing of the object's surface.
 
     Args:
         beams: the scene's beams, scene frame.
@@ -35,16 +35,12 @@ def render(
         theta: (6,) x, y, z, yaw, pitch, roll of the object in the scene frame; metres, radians.
         vehicle: scale and axes of the sdf frame, size of the baseline.
         settings: every approximation.
-        warm: `Rendering.warm` of an earlier rendering of the same beams and vehicle, nearby in code or pose.
-        grid: `SdfGrid.of` this very field, where it is rendered often. Used by `sphere_tracing` alone.
-
-    Returns:
-        Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
-
+        warm: `Rendering.warm` of an earlier rendering of the same beams and vehicle with a similar code or pose.
+        grid: `SdfGrid.of` this very field, for fields that are rendered often. Used by `sphere_tracing` alone.
+    Returns: Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
     Raises:
-        InputError: a pose that is not six finite numbers; a tolerance that the dtype cannot reach on this vehicle;
-            one that the paper's sphere does not hold.
-
+        InputError: the pose is not six finite numbers; the dtype cannot reach the tolerance on this vehicle; the
+            vehicle does not fit into the paper's sphere.
     Source: SHIFT3D, Object Rendering in LiDAR scene.
     """
     if theta.shape != (6,) or not bool(torch.isfinite(theta).all()):
@@ -77,7 +73,7 @@ def assemble(
     settings: RenderSettings,
     warm: WarmStart | None = None,
 ) -> Rendering:
-    """The scene with the hit points in place, differentiable where gradients are wanted."""
+    """Put the hit points into the scene; differentiable if gradients are wanted."""
     evaluations, coarse = field.count.evaluations, field.count.coarse
     polish = settings.final_newton_m > 0
     known = None if warm is None else warm.linearization

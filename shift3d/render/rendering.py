@@ -1,4 +1,4 @@
-"""What a renderer hands back."""
+"""Results of the renderer."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 @dataclass
 class GrazingShare:
-    """How near the hits are to the silhouette, and how much of the last backward pass ran through those that graze it.
+    """Measures of how close the hits are to the silhouette and how much of the gradient ran through grazing hits.
 
     Attributes:
-        beams: hits with |e . grad g| below `min_n_dot_d`.
-        gradient: share in [0, 1] of sum_i |e_i . dL/dx_i| / max(|e_i . grad g|, floor) that they carry;
-            0 before a backward pass and where no gradient flows.
-        cosine: (M,) float64 of incidence at every hit, in the order of the rows; None where no gradient was asked for.
-        least_slope: smallest |e . grad g| of all hits; infinite without hits, and where no gradient was asked for.
+        beams: number of hits with |e . grad g| below `min_n_dot_d` (grazing hits).
+        gradient: share in [0, 1] of the grazing hits in sum_i |e_i . dL/dx_i| / max(|e_i . grad g|, floor) of the last
+            backward pass; 0 before a backward pass and if no gradient flows.
+        cosine: (M,) float64 |cosine| of incidence at every hit, in row order; None if no gradient was wanted.
+        least_slope: smallest |e . grad g| of all hits; infinite without hits, and if no gradient was wanted.
     """
 
     beams: int = 0
@@ -38,21 +38,20 @@ class Rendering:
     """A scene with the object in it.
 
     Attributes:
-        points: (N, 3) scene frame, metres, dtype and order of the scene's points. Where no beam met the
-            object they are the scene's own, bit for bit. Differentiable w.r.t. the pose and the latent
-            code if these require gradients.
+        points: (N, 3) scene frame, metres, dtype and order of the scene's points. Points of beams without a hit are the
+            scene's own, bit for bit. Differentiable w.r.t. the pose and the latent code if these require gradients.
         hit_mask: (N,) bool, m_i of the paper: points on the object.
-        range_m: (N,) float64 distance from the beam's own sensor, of the returns as they are now.
+        range_m: (N,) float64 range of each rendered return from its beam's own sensor.
         max_residual_m: largest |metric g| at a hit; 0 without hits.
-        unresolved_beams: beams that could not be decided and stay where they were.
+        unresolved_beams: number of beams that could not be decided; their points stay where they were.
         evaluations: points at which the field was evaluated (the gradient's evaluations not included).
-        coarse_evaluations: of these, in bfloat16 alone.
-        grazing: share of the gradient that grazing beams carry, filled in by the backward pass.
-        warm: where the next rendering may start, see `render`.
-        returned: (N,) bool, rows that bring something back; None: all of them. The others rest `NO_RETURN_M` out.
-        core: the rendering before effects changed it; None where there are none.
-        reflectance: (N,) float64 in [0, 1] where an effect worked it out.
-        milliseconds: of each effect, by name.
+        coarse_evaluations: number of these evaluations in bfloat16 alone.
+        grazing: share of the gradient on grazing beams, filled in by the backward pass.
+        warm: starting point of the next rendering, see `render`.
+        returned: (N,) bool, rows with a return; None: all rows. The other rows are placed `NO_RETURN_M` out.
+        core: the rendering before effects changed it; None without effects.
+        reflectance: (N,) float64 in [0, 1] if an effect computed it.
+        milliseconds: time of each effect, by name.
     """
 
     points: Tensor
@@ -76,7 +75,7 @@ class Rendering:
 
     @property
     def box(self) -> Box | None:
-        """Verified box of the object, object frame, where the search made one."""
+        """Verified box of the object, object frame; None if the search made none."""
         return None if self.warm is None or self.warm.box is None else self.warm.box.box
 
     @property

@@ -1,4 +1,4 @@
-"""Every approximation of the renderer, as a named setting."""
+"""Settings of the renderer: one named setting for each approximation."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import torch
 from shift3d.errors import InputError
 
 SMALLEST_SCALE_M = 0.5
-"""Settings alone are checked for an object a metre long; `render` checks them again for the one at hand."""
+"""Settings alone are checked for an object a metre long; `render` checks them again for the actual vehicle."""
 
 LEAST_STEP_M = 1e-5
-"""Shortest `step_m` (our choice): below it, a search for what lies between two samples takes hours."""
+"""Shortest `step_m` (our choice): below it, the search between two samples takes hours."""
 
 _POSITIVE = (
     *("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations"),
@@ -28,19 +28,20 @@ Solver = Literal["paper", "plain_sphere_tracing", "sphere_tracing", "piecewise_l
 
 
 def reachable_residual_m(dtype: torch.dtype, scale_m: float, range_m: float = 100.0) -> float:
-    """The metric |g|, m, below which a root found in a dtype means nothing: what its rounding moves g by.
+    """Compute the metric |g|, m, below which a root in a dtype is meaningless: the change of g by rounding.
 
     Args:
-        dtype: in which the field is evaluated. scale_m: metres per sdf unit. range_m: of the object from its sensor.
+        dtype: of the field's evaluation. scale_m: metres per sdf unit. range_m: distance of the object from its sensor.
 
-    A place in the unit ball is a rounded one: each coordinate x_i is off by up to u |x_i|, u = eps / 2, which moves a
-    distance by u |x| <= u, in sdf units. The decoder's own sums are granted twice that: those of the shipped one add
-    0.6 u at most by MKL, 1.2 u by oneDNN (measured on its surface; tests/precision holds it to that). Together 3 u,
-    times scale_m.
-    The range along the beam is float64 whatever the dtype, and rounded as well: by eps64 range_m / 2 on either side.
+    A position in the unit ball is rounded: each coordinate x_i is off by up to u |x_i|, u = eps / 2, which changes the
+    distance by u |x| <= u, in sdf units. The decoder's own sums are allowed twice that: for the shipped decoder they
+    add at most 0.6 u with MKL and 1.2 u with oneDNN (measured on its surface; tests/precision checks this limit). The
+    total is 3 u times scale_m. The range along the beam is float64 in every dtype, and is rounded as well: by eps64
+    range_m / 2 on either side.
 
-    For a car, 5e-7 m in float32: the paper's |g| < 1e-6 is reached there because places are told from the object's
-    own centre; from the sensor, in float32, it is not (eps32 times 40 m is 5e-6). 2e-14 m in float64.
+    For a car the result is 5e-7 m in float32. The paper's |g| < 1e-6 can be reached because positions are relative to
+    the object's own centre; float32 positions relative to the sensor could not reach it (eps32 times 40 m is 5e-6). In
+    float64 the result is 2e-14 m.
     Source: our choice: the paper is silent on precision.
     """
     return 1.5 * torch.finfo(dtype).eps * scale_m + torch.finfo(torch.float64).eps * range_m
@@ -48,48 +49,49 @@ def reachable_residual_m(dtype: torch.dtype, scale_m: float, range_m: float = 10
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """What the renderer may trade for time.
+    """Approximations by which the renderer trades accuracy for time.
 
     Attributes:
-        solver: `sphere_tracing` predicts, corrects and covers, see `search`. `plain_sphere_tracing` is its simple
+        solver: `sphere_tracing` predicts, corrects and refines, see `search`. `plain_sphere_tracing` is its simple
             reference, see `sphere_tracing.first_hits`. `paper` samples every beam through the 7 m sphere and bisects.
-            `piecewise_linear` traverses the linear regions of a ReLU decoder and misses no first crossing where
-            `max_slope` holds (any other field goes to `sphere_tracing`).
-        dtype: precision in which the field is evaluated. Beam geometry is float64 whatever this says.
-        step_m: `paper`: sample spacing. Sphere tracing: the least step, and what of an interval may stay uncovered.
+            `piecewise_linear` traverses the linear regions of a ReLU decoder and misses no first crossing if
+            `max_slope` holds (for any other field `sphere_tracing` is used).
+        dtype: precision of the field's evaluation. Beam geometry is always float64.
+        step_m: `paper`: sample spacing. Sphere tracing: the least step, and the length of an interval that may stay
+            uncovered.
         max_step_m: sphere tracing: the largest step; a learned field says little about far distances.
-        step_safety: sphere tracing: share of the field's distance that counts as free. Below 1 because a learned
-            field can be steeper than a true distance.
-        max_slope: `piecewise_linear`: what |grad g| is taken never to exceed where the surface is far; infinite:
-            nothing is taken, every region is traversed. The steepest place of the shipped decoder that was found in
-            54,000 points of nine shapes, attacked ones among them, has 1.7.
+        step_safety: sphere tracing: share of the field's distance that counts as free. Below 1 because a learned field
+            can be steeper than a true distance.
+        max_slope: `piecewise_linear`: assumed upper bound of |grad g| far from the surface; infinite: no bound is
+            assumed, every region is traversed. The steepest place of the shipped decoder found in 54,000 points of nine
+            shapes, attacked ones among them, has 1.7.
         tolerance_m: metric |g| at which a root counts as found. Not below what the dtype can reach, see
-            `reachable_residual_m`. The paper asks for 1e-6 and ends after 30 bisections whatever |g| then is, and so
-            does `paper`, which does not look at it.
-        final_newton_m: final Newton threshold: a last step of at most this length is not evaluated where a gradient
-            is taken afterwards, which linearizes the field at the root anyway; 0: every root is evaluated.
+            `reachable_residual_m`. The paper asks for 1e-6, but ends after 30 bisections whatever |g| then is; the
+            solver `paper` does the same and ignores this setting.
+        final_newton_m: final Newton threshold: a last step of at most this length is not evaluated if a gradient is
+            taken afterwards, which linearizes the field at the root anyway; 0: every root is evaluated.
         max_iterations: bisections (`paper`) or root iterations.
         box_margin_m: growth of the vehicle's box before beams are culled against it.
         sphere_chord_only: `paper`: sample only the part of a beam inside the 7 m sphere. The paper samples the whole
-            beam; outside the sphere g is positive, so this changes no hit as long as the field is a distance there.
-            The sample positions are those of the whole beam.
-        warm_start: start from the previous rendering where one is given.
-        warm_refresh: warm renderings in a row before everything is searched afresh.
-        warm_change_m: everything is searched afresh where the field's change since the earlier rendering differs by
-            more than this within a cell of the change grid (0.45 m).
+            beam; outside the sphere g is positive, so this changes no hit as long as the field is a distance there. The
+            sample positions are those of the whole beam.
+        warm_start: start from the previous rendering if one is given.
+        warm_refresh: number of warm renderings in a row before a full search.
+        warm_change_m: a full search is made if the field's change since the earlier rendering differs by more than this
+            within a cell of the change grid (0.45 m).
         prediction_error: error bound of a predicted sample, as a share of that difference and of the sample's motion.
-        local_minima: between samples that leave `step_m` uncovered, look next to local minima and where g hardly
-            falls. False: a chord shorter than `step_m` may be missed.
-        approach_slope, approach_m: a hit is approached plainly where g falls by this slope or more over at most this
-            length; nothing is looked for in between.
-        grazing_m: an interval that g crosses more flatly than `approach_slope` is halved down to this width, as it
-            may hold several crossings.
-        sdf_grid: use an SDF grid of the field where one is handed over (`SdfGrid`).
+        local_minima: also sample intervals that leave at most `step_m` uncovered, next to local minima and where g
+            hardly falls. False: a chord shorter than `step_m` may be missed.
+        approach_slope, approach_m: the approach to a hit is clear if g falls by this slope or more over at most this
+            length; a clear approach is not searched for other crossings.
+        grazing_m: an interval that g crosses at a flatter slope than `approach_slope` is halved down to this width,
+            because it may hold several crossings.
+        sdf_grid: use an SDF grid of the field if one is given (`SdfGrid`).
         live_units: leave out the decoder's hidden units that are off at all places of a survey of the vehicle's box.
-        bfloat16_band_m: a decoder is evaluated in bfloat16 where it is farther than this from the surface, as far as
-            that only sets the length of a step; 0 switches it off.
+        bfloat16_band_m: farther than this from the surface a decoder is evaluated in bfloat16 if the value only sets
+            the length of a step; 0: never.
         min_n_dot_d: smallest |grad g . d| by which a gradient is divided, d the beam's direction; see `implicit`.
-        batch: points handed to the field at once.
+        batch: points per call of the field.
     """
 
     solver: Solver = "sphere_tracing"
@@ -122,7 +124,7 @@ class RenderSettings:
             found = f"solver is {self.solver!r}"
             raise InputError(found, where="render settings", remedy=f"Choose from {', '.join(get_args(Solver))}")
         for name in _POSITIVE + _NOT_NEGATIVE:
-            # NaN compares false: a margin of NaN would leave no beam and say nothing.
+            # Comparisons with NaN are false: a margin of NaN would drop every beam silently.
             value, must = getattr(self, name), "be positive" if name in _POSITIVE else "not be negative"
             if not (value > 0 if name in _POSITIVE else value >= 0):
                 raise InputError(f"{name} must {must}", where=f"render settings: {name}={value}")
@@ -134,14 +136,13 @@ class RenderSettings:
         self.check_tolerance(SMALLEST_SCALE_M)
 
     def reachable_residual_m(self, scale_m: float, range_m: float = 100.0) -> float:
-        """`reachable_residual_m` of these settings' dtype."""
+        """Compute `reachable_residual_m` for the dtype of these settings."""
         return reachable_residual_m(self.dtype, scale_m, range_m)
 
     def check_tolerance(self, scale_m: float) -> None:
-        """Refuse a tolerance that the dtype cannot reach on an object of this scale, where the solver looks at it.
+        """Refuse a tolerance that the dtype cannot reach on an object of this scale, if the solver uses the tolerance.
 
-        Raises:
-            InputError: saying what can be reached, and with which setting more.
+        Raises: InputError: states the reachable tolerance, and the setting that allows a smaller one.
         """
         reachable = self.reachable_residual_m(scale_m)
         if self.solver == "paper" or self.tolerance_m >= reachable:
@@ -155,7 +156,7 @@ class RenderSettings:
         )
 
     def with_(self, **changes: object) -> RenderSettings:
-        """The same settings with some of them replaced."""
+        """Return the settings with some of them replaced."""
         return replace(self, **changes)  # type: ignore[arg-type]
 
 
@@ -176,9 +177,9 @@ STANDARD = RenderSettings()
 DRAFT = RenderSettings(
     step_m=0.03, step_safety=1.0, tolerance_m=1e-3, final_newton_m=5e-3, local_minima=False, bfloat16_band_m=0.005
 )
-# min_n_dot_d is the standard one: it is a rule of what is descended, not an approximation, and with the paper's (0) a
-# handful of grazing beams would decide every comparison of gradients. step_m to tolerance_m are for fields that are
-# not piecewise linear.
+# min_n_dot_d is the standard value: it defines the gradient for descent and is no approximation; with the paper's 0 a
+# handful of grazing beams would decide every comparison of gradients. Only fields that are not piecewise linear use
+# step_m to tolerance_m.
 REFERENCE = RenderSettings(
     solver="piecewise_linear",
     dtype=torch.float64,
@@ -203,11 +204,7 @@ PRESETS: dict[str, RenderSettings] = {
 
 
 def preset(name: str) -> RenderSettings:
-    """Settings by name.
-
-    Raises:
-        InputError: unknown name.
-    """
+    """Return the settings of a preset. Raises InputError for an unknown name."""
     if name not in PRESETS:
         raise InputError(
             f"unknown accuracy preset {name!r}",

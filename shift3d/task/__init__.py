@@ -1,1 +1,1 @@
-"""One task: place a vehicle, attack it, score what was found."""
+"""One task: place a vehicle, attack it, and score the solution."""

@@ -1,4 +1,4 @@
-"""What a worker holds in memory and every task reads: scenes, vehicles, decoder and detectors."""
+"""Assets: scenes, vehicles, decoder and detectors, which a worker loads once and every task reads."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
 
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
-# Tasks come grouped by vehicle, so that the same scenes come round again; a scene with its beams is 15 MB.
+# Tasks are grouped by vehicle, so the same scenes are needed repeatedly; a scene with its beams is 15 MB.
 _SCENES_KEPT = 16
-# An SDF grid of a car is 1 MB and takes seconds.
+# An SDF grid of a car takes 1 MB and some seconds.
 _SPACES_KEPT = 64
 
 
 @dataclass
 class Assets:
-    """Loaded once a worker; never changed by a task.
+    """Shared inputs of a worker's tasks, loaded once. Tasks do not change them, but they fill the caches.
 
-    scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
-    weights (None: those that ship). modules: name to the Python file of a detector of the user's. layouts: name to the
-    layout of a foreign one. reference: settings of the reference set of naturalness, None: none. Copies in other
-    precisions, scenes with their beams, maps of vehicles and the reference set are made on first use and kept.
-    baselines: those last measured, by the id of `TaskSpec.baseline`; see `shift3d.task.baseline`. poses: of places that
-    were found, by vehicle, scene and seed; see `shift3d.task.problem`.
+    scenes, vehicles: sets in which names are looked up. decoder: float32, as shipped. detectors: name to a file of
+    weights (None: the shipped weights). modules: name to the Python file of a user's detector. layouts: name to the
+    layout of a foreign detector. reference: settings of the reference set of naturalness, None: none. Copies in other
+    precisions, scenes with their beams, SDF grids and the reference set are created on first use.
+    baselines: the last measured ones, by the id of `TaskSpec.baseline`; see `shift3d.task.baseline`. poses: placements
+    by vehicle, scene and seed; see `shift3d.task.problem`.
     """
 
     scenes: SceneSet
@@ -71,16 +71,12 @@ class Assets:
     _spaces: OrderedDict[tuple[str, RenderSettings], SdfGrid] = field(default_factory=OrderedDict)
 
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
-        """A task's scene and its beams.
-
-        Raises: InputError for an unknown name, a bad frame, or one that is not what the task was planned with.
-        """
+        """Return a task's scene and its beams. Raises: InputError: unknown name, bad frame, or not as planned."""
         scene, beams, found = self._kept_scene(self.scenes, spec.scene)
         require_planned(f"scene {spec.scene}", spec.scene_hash, found)
         return scene, beams
 
     def _kept_scene(self, scenes: SceneSet, name: str) -> tuple[Scene, Beams, str]:
-        """A scene, its beams and its hash."""
         if name not in self._scenes:
             scene = scenes.load(name)
             self._scenes[name] = (scene, Beams.of_main_sensor(scene), scene.content_hash())
@@ -90,10 +86,9 @@ class Assets:
         return self._scenes[name]
 
     def placing_scene(self, spec: TaskSpec) -> tuple[Scene, Beams, str]:
-        """The scene that a task's vehicle is placed in, its beams and hash: the task's own, but for a street that other
-        beams see, where it is the street as its own sensor sees it: places are then the same under any beams.
+        """Return the scene for the task's placement, its beams and hash: the task's own scene, except for a street.
 
-        Raises: InputError as `scene` does.
+        A street is seen by its own sensor, so that placements are the same under any beams. Raises: as `scene`.
         """
         own = self.scenes.seen_by_own(spec.scene) if isinstance(self.scenes, StreetScenes) else None
         if own is None:
@@ -101,7 +96,7 @@ class Assets:
         return self._kept_scene(*own)
 
     def decoder_of(self, dtype: torch.dtype) -> Decoder | DeepSdfNetwork:
-        """The decoder with its parameters in a dtype."""
+        """Return the decoder with its parameters in a dtype."""
         if dtype not in self._decoders:
             import copy
 
@@ -110,21 +105,18 @@ class Assets:
         return self._decoders[dtype]
 
     def detector_of(self, name: str, precision: str) -> Detector:
-        """A detector with its arithmetic in a precision: bfloat16, float32 or float64."""
+        """Return a detector that computes in bfloat16, float32 or float64."""
         if (name, precision) not in self._detectors:
             made_of = self.detectors.get(name), self.modules.get(name), precision, self.layouts.get(name)
             self._detectors[name, precision] = detector_of(name, *made_of)  # type: ignore[arg-type]
         return self._detectors[name, precision]
 
     def other_detectors(self, spec: TaskSpec) -> dict[str, Detector]:
-        """Those that score a task's objects beside the attacked one, by name, at the precision of its scores."""
+        """Return the detectors that score beside the attacked one, by name, at the task's scoring precision."""
         return {name: self.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
 
     def vehicle(self, spec: TaskSpec) -> Vehicle:
-        """A task's vehicle.
-
-        Raises: InputError for an unknown one, or one that is not what the task was planned with.
-        """
+        """Return a task's vehicle. Raises: InputError: an unknown vehicle, or one that differs from the plan."""
         name = spec.vehicle
         vehicle = self.vehicles.vehicle(name)
         if name not in self._vehicle_hashes:
@@ -133,9 +125,9 @@ class Assets:
         return vehicle
 
     def naturalness(self, spec: TaskSpec) -> Naturalness | None:
-        """What measures naturalness against the task's reference set; None where the task measures none.
+        """Return the naturalness measurement against the task's reference set; None if the task measures none.
 
-        Raises: InputError for a set that cannot be made, or is not what the task was planned with.
+        Raises: InputError: a set that cannot be made, or content that differs from the plan.
         """
         if not spec.reference_hash or self.reference is None:
             return None
@@ -155,7 +147,7 @@ class Assets:
         return Naturalness(load_reference(reference_source(self.reference or {}), "naturalness"))
 
     def naturalness_of(self, spec: TaskSpec, name: str) -> NaturalnessMeasure | None:
-        """The naturalness of an unchanged vehicle of the task's set, measured on first use."""
+        """Return the naturalness of an unchanged vehicle of the task's set; measured on first use."""
         measures = self.naturalness(spec)
         if measures is not None and name not in self._own_naturalness:
             vehicle = self.vehicles.vehicle(name)
@@ -163,7 +155,7 @@ class Assets:
         return self._own_naturalness.get(name)
 
     def naturalness_of_kinds(self, spec: TaskSpec) -> dict[str, NaturalnessMeasure]:
-        """The naturalness of every vehicle that a search may turn to, by name; none where the task measures none."""
+        """Measure, by name, every vehicle that a search may switch to; empty if the task measures none."""
         if (measures := self.naturalness(spec)) is None:
             return {}
         names = self.vehicles.kinds()
@@ -172,15 +164,15 @@ class Assets:
         return {name: self._own_naturalness[name] for name in names}
 
     def drawn_vehicle(self, spec: TaskSpec, solution: Mapping[str, Any]) -> Vehicle:
-        """The vehicle in whose frame a row of solutions is drawn: the task's own, but for a search over kinds."""
+        """Return the vehicle whose frame renders a solution; not the task's own if the search switched kind."""
         own, name = self.vehicle(spec), solution.get("drawn_as")
         return self.vehicles.vehicle(name) if isinstance(name, str) and name != own.name else own
 
     def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
-        """An SDF grid of the task's vehicle at these settings, None where they use none.
+        """Return an SDF grid of the task's vehicle at these settings; None if the settings use none.
 
-        Made once a vehicle, or read from the user's cache folder: it depends on its code alone. Whether there is one
-        depends on the settings, never on what ran before, so that a task's bytes do not.
+        The grid depends on the vehicle's code alone; it is made once per vehicle, or read from the user's cache folder.
+        The settings alone decide whether a grid is used, never earlier tasks, so that a task's bytes are reproducible.
         """
         if not settings.sdf_grid or settings.solver != "sphere_tracing":
             return None
@@ -201,16 +193,16 @@ class Assets:
 
 
 def require_planned(what: str, planned: str | None, found: str) -> None:
-    """Refuse content with another hash than was planned; a spec made by hand may state none."""
+    """Refuse content whose hash differs from the plan's; a spec made by hand may have no hash."""
     if planned and planned != found:
         remedy = "Restore it, or start a new sweep in another folder with out=DIR"
         raise InputError("changed after the sweep was planned", where=what, remedy=remedy)
 
 
 def load_assets(spec: AssetsSpec) -> Assets:
-    """Load everything that tasks of a sweep share.
+    """Load everything that the tasks of a sweep share.
 
-    Raises: InputError: naming the file that is missing or unusable, or weights that are not those of the plan.
+    Raises: InputError: names the file that is missing or unusable, or weights that differ from the plan.
     """
     for name, path in spec.detectors.items():
         found = detector_hash(name, path, spec.modules.get(name), spec.layouts.get(name))
@@ -219,18 +211,18 @@ def load_assets(spec: AssetsSpec) -> Assets:
     require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
     scenes = scene_set(scene_config(spec.scenes))
     assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference, spec.layouts)
-    # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
+    # Load detectors before the first task: unusable weights stop the sweep once instead of failing every task.
     for name in spec.detectors:
         assets.detector_of(name, "float32")
     return assets
 
 
 def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None:
-    """Make what tasks compare shapes with now, with a progress bar, so that workers find it in the cache.
+    """Compute the reference set and the measures of kinds with a progress bar; workers then read them from the cache.
 
-    templates: specs of the tasks, without their scene. A search over kinds within a budget needs each kind's measure,
-    and a kind that keeps the budget itself; any other search a vehicle that does.
-    Raises: InputError for a reference set that cannot be made, or naming the vehicles that lie beyond a budget.
+    templates: specs of the tasks, without their scene. A search over kinds within a budget needs every kind's measure,
+    and a kind within the budget; any other search needs a vehicle within the budget.
+    Raises: InputError for a reference set that cannot be made, or naming the vehicles beyond a budget.
     """
     if spec.reference is None:
         return
@@ -248,7 +240,7 @@ def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None
 
 
 def _require_within(templates: Sequence[TaskSpec], vehicles: VehicleSource, measures: Naturalness) -> None:
-    """Refuse, before anything runs, what each of their tasks would: vehicles that lie beyond the budget unchanged."""
+    """Refuse vehicles that lie beyond the budget unchanged, before tasks run that would all refuse them."""
     budgets: dict[str, set[float]] = {}
     for template in templates:
         budgets.setdefault(template.vehicle, set()).add(template.attack.naturalness)
@@ -264,7 +256,7 @@ def _require_within(templates: Sequence[TaskSpec], vehicles: VehicleSource, meas
 
 
 def kinds_within(budget: float, kinds: Mapping[str, NaturalnessMeasure]) -> list[str]:
-    """Names of the kinds that keep a budget of naturalness themselves. Raises InputError where none does."""
+    """Return the names of the kinds within a budget of naturalness. Raises InputError if there are none."""
     names = [name for name, own in kinds.items() if own.within(budget)]
     if not names:
         nearest = min(kinds, key=lambda name: (len(kinds[name].out_of_range), kinds[name].percentile))
@@ -275,14 +267,14 @@ def kinds_within(budget: float, kinds: Mapping[str, NaturalnessMeasure]) -> list
 
 
 def _reasons(name: str, own: NaturalnessMeasure) -> str:
-    """A vehicle with what a budget is held against."""
+    """Describe a vehicle's measures that a budget limits."""
     return f"{name} ({', '.join((f'percentile {own.percentile:.3g}', *own.out_of_range))})"
 
 
 def render_settings(spec: TaskSpec) -> RenderSettings:
-    """The renderer's settings that a task states in plain values; what an older program did not state is the preset's.
+    """Build the renderer's settings from a task's plain values; the preset supplies values missing in older specs.
 
-    Raises: InputError: no dtype, or a solver that is gone.
+    Raises: InputError: an invalid dtype, or a solver that does not exist.
     """
     where = f"task {spec.task_id}"
     values = current_settings(spec.accuracy_settings, where)
@@ -294,10 +286,10 @@ def render_settings(spec: TaskSpec) -> RenderSettings:
 
 
 def search_precision(spec: TaskSpec) -> str:
-    """Precision of the detector while it is descended."""
+    """Return the detector's precision during the search."""
     return str(spec.accuracy_settings.get("detector", "float32"))
 
 
 def score_precision(spec: TaskSpec) -> str:
-    """Precision of the detector that scores: float32, or float64 where the search has it too."""
+    """Return the precision of scoring detectors: float64 if the search uses it, else float32."""
     return "float64" if search_precision(spec) == "float64" else "float32"

@@ -1,9 +1,9 @@
-"""What a preset's accuracy comes to, measured on some beams of the very object that is reported.
+"""Audit: measures a rendering's error on some beams of the very object that is reported.
 
-A preset's error is known from `make frontier`, on other objects. Here a few dozen of a row's own beams are rendered
-again at reference accuracy (float64, along the decoder's linear pieces) and compared. Beams are drawn from those that
-pass the vehicle's box, half of them among the hits; the draw depends on the placement alone, so that a shape and a
-pose task state the same of the baseline that they share.
+`make frontier` measures a preset's error on other objects. The audit renders a few dozen of a row's own beams again at
+reference accuracy (float64, along the decoder's linear regions) and compares. The beams are drawn from those that pass
+the vehicle's box, half of them hits. The draw depends on the placement alone, so that a shape task and a pose task
+report the same audit of their common baseline.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from shift3d.task.scoring import SCORED_NEARBY, Candidate, Nearby, Scored, score
 from shift3d.task.spec import TaskSpec
 
 AUDITED = ("baseline", "adversarial")
-"""Methods whose rows are audited: an audit costs about as much as the rendering itself."""
+"""Methods whose rows are audited; an audit costs about as much as the rendering itself."""
 AUDITED_BEAMS = 32
 _MARGIN_M = 0.1
 
 
 @dataclass(frozen=True)
 class Audit:
-    """How many beams were looked at, and what was wrong with them."""
+    """Number of audited beams, and their errors."""
 
     audited_beams: int
     found: Differences
     milliseconds: float
 
     def columns(self) -> dict[str, Any]:
-        """The audit as columns of a row; time lives elsewhere."""
+        """Return the audit as columns of a row, without the time."""
         values = asdict(self.found)
         return {"audited_beams": self.audited_beams, "audited_hits": values.pop("hits"), **values}
 
@@ -55,15 +55,15 @@ def score_and_audit(
     nearby: Nearby | None = None,
     known: Scored | None = None,
 ) -> tuple[Scored, Audit | None]:
-    """A candidate's scores by every detector of the task, and the audit of its rendering where its method has one.
+    """Score a candidate with every detector of the task, and audit its rendering if its method is audited.
 
-    nearby: what scores of noisy copies start from. known: the scores of the same object, where it has been scored.
+    nearby: warm start for the scores of noisy copies. known: scores of the same object, if it has been scored.
     """
     others = assets.other_detectors(spec)
     start_from = nearby if candidate.method in SCORED_NEARBY else None
     radius_m = spec.attack.detection_radius_m
     scored = known or score_object(problem, candidate.code, candidate.theta, radius_m, others, start_from)
-    # The reference would only be held against itself.
+    # At reference accuracy the audit would compare the reference with itself.
     audited = candidate.method in AUDITED and problem.settings != REFERENCE
     return scored, audit(spec, assets, problem, candidate, scored) if audited else None
 
@@ -85,7 +85,7 @@ def audit(spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Can
 
 
 def _draw(spec: TaskSpec, problem: AttackProblem, candidate: Candidate, rendering: Rendering) -> np.ndarray:
-    """(at most 32,) int64 beams, ascending: half of them hits, the others through the box without one."""
+    """Draw up to 32 beams, int64, ascending: half of them hits, the others beams through the box without a hit."""
     rng = generator("audit", spec.placement_seed, candidate.method, candidate.replicate)
     box = Box(-problem.size_m / 2, problem.size_m / 2).grown(_MARGIN_M)
     near = rays_in_box(problem.cast_beams, candidate.theta, box).index.numpy()

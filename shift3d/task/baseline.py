@@ -1,7 +1,7 @@
-"""The unchanged vehicle of a task: where it stands, and what the detectors make of it there.
+"""Baseline of a task: the unchanged vehicle at its place, with its scores and audit.
 
-Tasks that differ in their search alone share it. A worker that runs them one after the other places, scores and audits
-the vehicle once.
+Tasks that differ in their search alone share the baseline. A worker that runs them one after another places, scores and
+audits the vehicle once.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from shift3d.task.problem import build_problem, placed_pose
 from shift3d.task.scoring import Candidate, Scored
 from shift3d.task.spec import TaskSpec
 
-# A rendering of all beams is some 20 MB. Tasks of one place come one after the other.
+# A rendering of all beams is some 20 MB. Tasks of one place run one after another.
 _KEPT = 2
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """found: the placed vehicle before the detector, its scores and its audit; None where the scene has no place.
+    """Measured baseline of a task.
 
-    milliseconds: by stage, scoring excluded; none where an earlier task has measured it.
+    found: the placed vehicle's problem, its scores and its audit; None if the scene has no place. milliseconds: by
+    stage, without scoring; empty if an earlier task measured the baseline.
     """
 
     found: tuple[AttackProblem, Scored, Audit | None] | None
     milliseconds: Mapping[str, float]
 
     def again(self) -> Baseline:
-        """The same for another task, which spends nothing on it."""
+        """Return the same baseline for another task, with all times zero."""
         if self.found is None:
             return replace(self, milliseconds={})
         problem, scored, checked = self.found
@@ -41,14 +42,14 @@ class Baseline:
 
 
 def baseline_candidate(problem: AttackProblem) -> Candidate:
-    """The unchanged vehicle at its place."""
+    """Return the unchanged vehicle at its place."""
     return Candidate("baseline", 0, problem.code0, problem.theta0, best_step=0)
 
 
 def baseline_of(spec: TaskSpec, assets: Assets) -> Baseline:
-    """The baseline of a task: the bytes are the same whether this or an earlier task has measured it.
+    """Return the baseline of a task; the bytes are the same whether this task or an earlier one measured it.
 
-    Raises: InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+    Raises: InputError: a scene or vehicle that cannot be loaded, or that differs from the plan.
     """
     shared, kept = spec.baseline, assets.baselines
     if shared.task_id in kept:
@@ -70,6 +71,6 @@ def _measure(spec: TaskSpec, assets: Assets) -> Baseline:
     if theta is None:
         return Baseline(None, spent)
     problem = build_problem(spec, assets, theta)
-    if spec.effects:  # what they do once: draws, and weather on the scene's own points
+    if spec.effects:  # once per scene: random draws, and weather on the scene's own points
         spent["effects_once"] = 1e3 * (time.perf_counter() - placed)
     return Baseline((problem, *score_and_audit(spec, assets, problem, baseline_candidate(problem))), spent)

@@ -1,4 +1,4 @@
-"""What one rendering of an object gets wrong, held against a better one of the same beams."""
+"""Errors of a rendering, measured against a more accurate rendering of the same beams."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from torch import Tensor
 
 WRONG_SURFACE_M = 0.01
-"""A depth that is off by more than this belongs to another surface: nothing of a car is painted that thick."""
+"""A larger depth error belongs to another surface: no coat of paint on a car is that thick."""
 
 
 @dataclass(frozen=True)
 class Differences:
-    """Counts over beams; `depth_error_max_m` over the hits on the right surface, 0 where there are none.
+    """Error counts over beams; `depth_error_max_m` over the hits on the right surface, 0 without such hits.
 
-    hits: true ones. missed_hits: of these, beams that were left alone. false_hits: beams that were moved without a
-    true hit. wrong_surface: hits more than 1 cm from the true one.
+    hits: true hits. missed_hits: true hits that the rendering did not move. false_hits: beams moved without a true hit.
+    wrong_surface: hits more than 1 cm from the true one.
     """
 
     hits: int
@@ -26,12 +26,12 @@ class Differences:
 
     @property
     def none_lost_or_misplaced(self) -> bool:
-        """Whether the same beams hit the same surfaces."""
+        """True if the same beams hit the same surfaces."""
         return self.missed_hits == self.false_hits == self.wrong_surface == 0
 
 
 def differences(found: tuple[Tensor, Tensor], true: tuple[Tensor, Tensor]) -> Differences:
-    """Hold a rendering against the truth. Each: (N,) bool, which beams hit; (N,) float64 ranges, metres."""
+    """Compare a rendering with the truth. Each: (N,) bool hit mask, and (N,) float64 ranges, metres."""
     (hit, range_m), (true_hit, true_range_m) = found, true
     error = (range_m - true_range_m).abs()[hit & true_hit]
     right = error <= WRONG_SURFACE_M

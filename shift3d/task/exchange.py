@@ -1,4 +1,4 @@
-"""What travels between driver and workers beside specs: settings of what a worker loads, and rows of results."""
+"""Data between driver and workers besides task specs: settings of a worker's assets, and rows of results."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class TaskResult:
-    """What a task hands back: rows of plain Python and NumPy values, in a fixed order, for the tables of these names.
+    """Result of a task: rows of plain Python and NumPy values, in a fixed order, for the tables with these names.
 
-    Their keys are the columns that the spec does not determine; the sweep fills in `store.schemas.SPEC_COLUMNS`.
+    The rows hold the columns that the spec does not determine; the sweep adds `store.schemas.SPEC_COLUMNS`.
     """
 
     scores: list[Row] = field(default_factory=list)
@@ -30,14 +30,14 @@ class TaskResult:
 
 @dataclass(frozen=True)
 class AssetsSpec:
-    """What a worker loads once: plain values, no path that a task's id depends on.
+    """Settings of the assets that a worker loads once: plain values; task ids depend on no path in them.
 
-    scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
-    detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
-    the detectors had when the sweep was planned; one that is not there is not compared. results: the folder of final
-    tables that a verification reads. modules: Python files of detectors that are the user's own, by name. layouts: of
-    foreign detectors, by name, see `detectors.foreign.layout`. reference: settings of the reference set of naturalness,
-    None: it is not measured.
+    scenes, vehicles: settings of the scene set and of the source of vehicles, as in their schemas. detectors: name to a
+    file of weights, or None for the weights that ship with shift3d. hashes: hashes of "decoder" and the detectors in
+    the plan; a missing hash is not compared. results: folder of the final tables that a verification reads. modules:
+    Python files of the user's own detectors, by name. layouts: of foreign detectors, by name, see
+    `detectors.foreign.layout`. reference: settings of the reference set of naturalness, None: naturalness is not
+    measured.
     """
 
     scenes: Mapping[str, Any]

@@ -1,7 +1,7 @@
-"""SDF grids of unchanged vehicles in the user's cache folder: 90,000 evaluations a vehicle, taken once a machine.
+"""Disk cache of SDF grids of unchanged vehicles, in the user's cache folder: saves 90,000 evaluations per vehicle.
 
-A grid from there has the bytes that this process would compute: its name changes with the decoder, the vehicle, the
-settings, the code that makes grids and what decides rounding on this machine.
+A cached grid has the bytes that this process would compute: its file name depends on the decoder, the vehicle, the
+settings, the code that makes grids, and everything that decides rounding on the machine.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from shift3d.render.settings import RenderSettings
 from shift3d.store.user_cache import keep, kept_file, read_kept, source_digest
 
 FILES_KEPT = 256
-"""Of 750 kB each; the oldest make room."""
+"""Maximum number of files, 750 kB each; the oldest are deleted."""
 _CODE = ("render", "sdf", "processor.py", "task/kept_grids.py")
 
 
 def kept_grid(decoder_hash: str, vehicle_hash: str, settings: RenderSettings, make: Callable[[], SdfGrid]) -> SdfGrid:
-    """The grid of a vehicle at these settings, from the cache folder; made, and kept there, where it holds none.
+    """Return the grid of a vehicle at these settings from the cache folder; compute and store it if it is missing.
 
-    A file that is torn or changed is made again; a folder that cannot be written is done without.
+    A damaged file is computed again. A folder that cannot be written is not used.
     """
     file = kept_file("grids", decoder_hash, vehicle_hash, settings, source_digest(*_CODE))
     if (content := read_kept(file)) is not None:
@@ -53,7 +53,7 @@ def _grid(tensors: dict[str, torch.Tensor]) -> SdfGrid:
 
 
 def _make_room(folder: Path) -> None:
-    """Remove the oldest files beyond those that are kept; other processes may do the same."""
+    """Delete the oldest files beyond the limit; other processes may do so at the same time."""
     written: dict[Path, float] = {}
     for file in folder.glob("[!.]*"):
         with contextlib.suppress(FileNotFoundError):

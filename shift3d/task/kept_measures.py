@@ -1,7 +1,7 @@
-"""How natural the unchanged vehicles of a set are, in the user's cache folder: half a second a vehicle, once a machine.
+"""Disk cache of the naturalness of unchanged vehicles, in the user's cache folder: saves half a second per vehicle.
 
-A measure from there has the bits that this process would compute: its name changes with the decoder, the vehicles, the
-reference set, the code and the libraries that measure and what decides rounding on this machine.
+A cached measure has the bits that this process would compute: its file name depends on the decoder, the vehicles, the
+reference set, the code and libraries that measure, and everything that decides rounding on the machine.
 """
 
 from __future__ import annotations
@@ -19,18 +19,17 @@ from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.store.user_cache import keep, kept_file, program_digest, read_kept
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 
-# What measures, and what makes the reference set.
+# Code that measures, and code that makes the reference set.
 _CODE = ("naturalness", "sdf", "vehicles", "processor.py", "seeding.py", "task/kept_measures.py")
 
 
 def kept_measures(
     source: VehicleSource, decoder: Decoder | DeepSdfNetwork, measures: Naturalness, reference: str, show: bool = False
 ) -> dict[str, NaturalnessMeasure]:
-    """The naturalness of every kind of a set, by name, from the cache folder; measured, and kept there, where it holds
-    none.
+    """Return the naturalness of every kind of a set, by name, from the cache folder; measure and store what is missing.
 
-    reference: hash of the reference set. show: a progress bar while it measures.
-    A file that is torn or changed is made again; a folder that cannot be written is done without.
+    reference: hash of the reference set. show: show a progress bar while measuring. A damaged file is measured again. A
+    folder that cannot be written is not used.
     """
     vehicles = [source.vehicle(name) for name in source.kinds()]
     hashes = [vehicle_hash(vehicle) for vehicle in vehicles]
@@ -39,7 +38,7 @@ def kept_measures(
         return {name: _measure(**values) for name, values in json.loads(content).items()}
     bar = progress_bar(vehicles, desc="measuring how natural each vehicle is", unit="vehicle", disable=not show)
     found = {vehicle.name: measures.of_code(vehicle, decoder, vehicle.latent_code) for vehicle in bar}
-    keep(file, json.dumps({name: asdict(measure) for name, measure in found.items()}).encode())  # floats to the bit
+    keep(file, json.dumps({name: asdict(measure) for name, measure in found.items()}).encode())  # floats stay exact
     return found
 
 

@@ -1,4 +1,4 @@
-"""Where vehicles could stand in scenes, by the placement settings of tasks."""
+"""Possible places of vehicles in scenes, for the placement settings of tasks."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from shift3d.task.spec import PlacementSpec
 
 
 def limits_of(where: PlacementSpec) -> PlacementLimits:
-    """Where places are drawn."""
+    """Return the limits within which places are drawn."""
     sector = (where.sector_centre_rad, where.sector_half_width_rad)
     return PlacementLimits(where.min_range_m, where.max_range_m, sector, where.attempts)
 
 
 def constraints_of(where: PlacementSpec) -> Constraints:
-    """What a place must satisfy."""
+    """Return the constraints that a place must satisfy."""
     return Constraints(where.overlap_m, where.contact_m, where.min_object_points)
 
 
 def other_vehicles(scene: Scene) -> Tensor:
-    """(M, 2) centres of the scene's own vehicles: a box of theirs near the object would pass for a detection of it."""
+    """Return (M, 2) centres of the scene's vehicles; a box of one near the object would pass for a detection of it."""
     return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())
 
 
 def site_of(scene: Scene, beams: Beams) -> Site:
-    """What places of a scene are judged by, seen by these beams."""
+    """Return the facts about a scene, seen by these beams, that decide about places."""
     zone = scene.in_no_label_zone
     unlabelled = None if zone is None else scene.points[zone & scene.has_beam, :2]
     return Site(beams, scene.ground_z_m, other_vehicles(scene), scene.ground_map, unlabelled)
 
 
 def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
-    """Where a car of usual size could stand in a scene, as `place_vehicle` places: a street by its own sensor's beams.
+    """Survey a scene for places of a car of usual size, like `place_vehicle`: a street by its own sensor's beams.
 
     Raises: InputError: the scene cannot be read.
     """
@@ -53,11 +53,11 @@ NO_GROUND = (
     "where no ground is seen, lower attack.placement.max_range_m: returns lie closer there; with scenes=openpcdet give "
     "the ground's height, scenes.ground_z_m; see in the picture of shift3d scenes show that z points up"
 )
-"""What to do where `Survey.lacks_ground`."""
+"""Remedy if `Survey.lacks_ground`."""
 
 
 def place_lines(scenes: SceneSet, names: Sequence[str], where: PlacementSpec, most: int = 20) -> Iterator[str]:
-    """A line a scene, of the first so many: how many places are free, what refuses the others, and `NO_GROUND`.
+    """Yield a line for each of the first `most` scenes: free places and the reasons against others; then `NO_GROUND`.
 
     Raises: InputError: a scene cannot be read.
     """

@@ -1,4 +1,4 @@
-"""A task's vehicle in its scene: where it stands, and the problem that an attack solves there."""
+"""Placement of a task's vehicle in its scene, and the attack problem at that place."""
 
 from __future__ import annotations
 
@@ -23,16 +23,15 @@ if TYPE_CHECKING:
 
 
 def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
-    """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.
+    """Place the vehicle: the same for every task of this vehicle, scene and placement settings.
 
-    Whatever the task's mode, weights of the loss, accuracy or detector, and whatever beams see the street.
-    Source: our choice: the paper is silent.
+    Independent of the task's mode, loss weights, accuracy and detector, and of the beams that see the street. Source:
+    our choice: the paper is silent.
     """
     scene, beams, scene_hash = assets.placing_scene(spec)
     vehicle = assets.vehicle(spec)
-    # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
-    # accuracies could no longer be compared object by object. Without an SDF grid, which takes longer to make
-    # than it saves here.
+    # Always at standard accuracy: rounding that rejects one draw would move the vehicle to another place, and
+    # accuracies could not be compared object by object. Without an SDF grid, which takes longer than it saves.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", replace(spec, scene_hash=scene_hash).placement_seed)
     limits, constraints = limits_of(spec.placement), constraints_of(spec.placement)
@@ -40,9 +39,9 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
 
 
 def placed_pose(spec: TaskSpec, assets: Assets) -> Tensor | None:
-    """(6,) float64 pose of `place_vehicle`, None where the scene has no place: looked for once a worker and place."""
+    """Return (6,) float64 pose of `place_vehicle`, None if there is no place; computed once per worker and place."""
     _, _, scene_hash = assets.placing_scene(spec)
-    assets.vehicle(spec)  # says so where it is not what was planned
+    assets.vehicle(spec)  # raises if the vehicle differs from the plan
     kept, key = assets.poses, (spec.vehicle, spec.scene, replace(spec, scene_hash=scene_hash).placement_seed)
     if key not in kept:
         placement = place_vehicle(spec, assets)
@@ -52,9 +51,9 @@ def placed_pose(spec: TaskSpec, assets: Assets) -> Tensor | None:
 
 
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicle | None = None) -> AttackProblem:
-    """The task's vehicle, placed at ``theta`` (6,), before the detector that scores it.
+    """Build the attack problem: the task's vehicle at ``theta`` (6,) and the detector at scoring precision.
 
-    vehicle: another one of the same decoder in its place.
+    vehicle: another vehicle of the same decoder instead of the task's.
     Raises: InputError: a scene or vehicle that cannot be loaded.
     """
     scene, beams = assets.scene(spec)
@@ -80,8 +79,10 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
 
 
 def as_vehicle(spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: Vehicle | None) -> AttackProblem:
-    """The task's problem with another vehicle of the same decoder where its own stands, on the same ground; the problem
-    itself without another one."""
+    """Return the problem with another vehicle of the same decoder at the same place, on the same ground.
+
+    Without another vehicle the problem itself is returned.
+    """
     if vehicle is None:
         return problem
     theta = problem.theta0.clone()
@@ -90,16 +91,16 @@ def as_vehicle(spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: 
 
 
 def _effects(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> EffectChain | None:
-    """The task's effects; none of their code is imported where there are none.
+    """Build the task's effects; without effects none of their code is imported.
 
-    Their randomness is that of the placement: shape and pose attacks of one placement have one baseline.
+    Their random numbers depend on the placement alone: shape and pose attacks of one placement have one baseline.
     """
     if not spec.effects:
         return None
     from shift3d.effects.chain import EffectChain
 
     scene, settings = assets.scene(spec)[0], EffectSettings(**spec.effect_settings)
-    # A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose.
+    # A moving vehicle moves along its heading at placement, even if an attack changes its pose.
     pose = placed_pose(spec, assets) if settings.object_speed_m_s else None
     heading_rad = 0.0 if pose is None else float(pose[3])
     seed = derive_seed("effects", spec.placement_seed)

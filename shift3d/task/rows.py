@@ -1,4 +1,4 @@
-"""A task's results as rows of the tables of design section 5."""
+"""Rows of a task's results, for the tables of design section 5."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SIZES = ("length_m", "width_m", "height_m", "clearance_m", "asymmetry_cm")
 
 
 class Rows:
-    """Collects the rows of one task; a (method, replicate) that was added is never skipped."""
+    """Collects the rows of one task; `skip` adds no row for a (method, replicate) that was added."""
 
     def __init__(self, spec: TaskSpec) -> None:
         self._spec = spec
@@ -39,9 +39,9 @@ class Rows:
         audit: Audit | None = None,
         naturalness: NaturalnessMeasure | None = None,
     ) -> None:
-        """One object that was scored: a row for each detector, and the solution that renders it again.
+        """Add one scored object: a row for each detector, and the solution, from which it can be rendered again.
 
-        audit: what its rendering's accuracy came to, where that was measured. naturalness: likewise, of its shape.
+        audit: of its rendering, if audited. naturalness: of its shape, if measured.
         """
         measured, theta = scored.measurement, [float(value) for value in candidate.theta]
         check, rendering = measured.check, measured.rendering
@@ -85,12 +85,12 @@ class Rows:
             self.time(candidate.method, stage, milliseconds)
 
     def skip(self, method: str, replicate: int, status: str) -> None:
-        """A row a detector without a score, unless there is one already: gaps are stated, never silent."""
+        """Add a row per detector without a score, unless (method, replicate) has rows: no gap is ever silent."""
         if (method, replicate) not in self._seen:
             self._found.scores.extend(self._row(name, method, replicate, status) for name in self._spec.scored_by)
 
     def attack(self, found: AttackResult) -> None:
-        """The search's steps, the time that it took, by stage, and what it says of its start and its end."""
+        """Add the search's steps, its time by stage, and the gradient measures of its start and its end."""
         self._found.trajectories.extend(_step_row(record, found.best_step) for record in found.trace)
         whole = sum(record.non_finite for record in found.trace)
         ends = (("baseline", found.trace[0], found.trace[:1], 0), ("adversarial", found.best, found.trace, whole))
@@ -102,12 +102,12 @@ class Rows:
         self.search_time("adversarial", found)
 
     def search_time(self, method: str, found: AttackResult) -> None:
-        """The time that a search took, by stage."""
+        """Add the time of a search, by stage."""
         for stage, milliseconds in found.milliseconds().items():
             self.time(method, stage, milliseconds, len(found.trace))
 
     def transfers(self, rows: Iterable[Row]) -> None:
-        """What became of the adversarial shape in other scenes."""
+        """Add the results of the adversarial shape in other scenes."""
         self._found.transfers.extend(rows)
 
     def time(self, method: str, stage: str, milliseconds: float, calls: int = 1) -> None:
@@ -116,7 +116,7 @@ class Rows:
         self._timings[method, stage] = (spent + milliseconds, count + calls)
 
     def result(self) -> TaskResult:
-        """Everything collected."""
+        """Return everything collected."""
         timings: list[Row] = [
             {"method": method, "stage": stage, "milliseconds": spent, "calls": calls}
             for (method, stage), (spent, calls) in self._timings.items()
@@ -124,7 +124,7 @@ class Rows:
         return replace(self._found, scores=[self._described(row) for row in self._found.scores], timings=timings)
 
     def _described(self, row: Row) -> Row:
-        """A row with what the search says of its object; what was met on the way adds to what was met at the end."""
+        """Add the search's measures to a row; the non-finite numbers of search and scoring are summed."""
         if row["status"] == "no_placement" or row["method"] not in self._descent:
             return row
         descent = self._descent[row["method"]]
@@ -141,7 +141,7 @@ class Rows:
 
 
 def _step_row(record: StepRecord, best_step: int) -> Row:
-    """A step as the search saw it. A number that is not finite, at the last step of a divergence, is none."""
+    """Return a step as the search recorded it; a number that is not finite, as in a divergence, becomes None."""
     losses = {
         "proposal_score": record.proposal_score,
         "loss": record.loss,
@@ -159,7 +159,7 @@ def _step_row(record: StepRecord, best_step: int) -> Row:
 
 
 def _summary(found: NaturalnessMeasure) -> Row:
-    """Columns of the scores."""
+    """Return the naturalness columns of the scores."""
     nearest = found.nearest
     return {
         "surface_distance_cm": nearest.mean_cm if nearest else None,
@@ -170,8 +170,10 @@ def _summary(found: NaturalnessMeasure) -> Row:
 
 
 def shape_columns(found: NaturalnessMeasure) -> Row:
-    """Columns of the shapes; all but the share are None for a code without a surface, and so is the clearance of a
-    shape without a middle."""
+    """Return the columns of the shapes.
+
+    For a code without a surface all but the share are None; so is the clearance of a shape without a middle.
+    """
     nearest, sizes = found.nearest, found.sizes
     measured = {name: getattr(sizes, name, math.nan) for name in _SIZES}
     row: Row = {name: value if math.isfinite(value) else None for name, value in measured.items()}

@@ -1,4 +1,4 @@
-"""One task: place the vehicle, attack it, score what was found and what it is compared with."""
+"""Runs one task: places the vehicle, attacks it, scores the solution and the objects for comparison."""
 
 from __future__ import annotations
 
@@ -35,10 +35,9 @@ from shift3d.vehicles.vehicle import Vehicle
 def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
     """Run one task.
 
-    A pure function of the spec and the content that its hashes name, on one thread: the same bytes wherever
-    it runs. A scene with no place for the vehicle gives rows with status "no_placement" and no score.
-
-    Raises: InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+    The result is a pure function of the spec and the content that its hashes name, on one thread: the same bytes on
+    every machine. A scene with no place for the vehicle gives rows with status "no_placement" and no score.
+    Raises: InputError: a scene or vehicle that cannot be loaded, or that differs from the plan.
     Source: SHIFT3D Algorithm 1, sections Setup and Evaluation Metrics.
     """
     start = time.perf_counter()
@@ -73,7 +72,7 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
 
 
 def _naturalness(spec: TaskSpec, assets: Assets, candidate: Candidate, rows: Rows) -> NaturalnessMeasure | None:
-    """How natural a candidate's shape is; None for noisy copies, and where the task measures none."""
+    """Measure a candidate's naturalness; None for noisy copies, and if the task measures none."""
     if candidate.method == "adversarial_noise" or (measures := assets.naturalness(spec)) is None:
         return None
     vehicle, code = candidate.vehicle or assets.vehicle(spec), candidate.code.detach().float()
@@ -86,7 +85,7 @@ def _naturalness(spec: TaskSpec, assets: Assets, candidate: Candidate, rows: Row
 
 
 def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
-    """Every (method, replicate) that a task reports, whatever happens."""
+    """Yield every (method, replicate) that a task reports in any case."""
     yield "baseline", 0
     yield from (("random", i) for i in range(spec.attack.random_replicates))
     if spec.attack.random_search:
@@ -101,9 +100,9 @@ def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
 def _candidates(
     spec: TaskSpec, problem: AttackProblem, searched: Detector, assets: Assets, rows: Rows
 ) -> Iterator[Candidate]:
-    """Random, adversarial and its noisy copies, in the order of the tables.
+    """Yield random objects, the adversarial object and its noisy copies, in the order of the tables.
 
-    searched: the detector at the precision that is descended.
+    searched: the detector at the precision of the search.
     """
     if spec.attack.search_scenes:
         began = time.perf_counter()
@@ -128,7 +127,7 @@ def _candidates(
         yield Candidate("edited", 0, edited, on_ground(edited, problem, SNAP_M))
     yield Candidate("adversarial", 0, code, theta, found.best_step, found.status, vehicle)
     if spec.mode != "pose":
-        # A noisy copy stands where the solution does, on the ground under its own shape.
+        # A noisy copy is placed at the solution's place, on the ground under its own shape.
         there = there if spec.mode == "shape" else replace(there, theta0=theta)
         rng = generator("noise", spec.task_id)
         sigma = spec.attack.noise_share * distance if spec.attack.noise_share else spec.attack.noise_sigma
@@ -139,14 +138,14 @@ def _candidates(
 
 
 def _other_than(problem: AttackProblem, found: AttackResult) -> Vehicle | None:
-    """The vehicle of another kind that a search has turned to; None where it kept the task's own."""
+    """Return the vehicle of another kind that a search switched to; None if it kept the task's own."""
     return None if found.vehicle is problem.vehicle else cast(Vehicle, found.vehicle)
 
 
 def _random(
     spec: TaskSpec, problem: AttackProblem, distance: float, rng: np.random.Generator
 ) -> tuple[Tensor, Tensor] | None:
-    """A shape as far from the baseline's code as the solution, a pose within its limits, or both; None without one."""
+    """Draw a shape at the solution's latent distance, a pose within its limits, or both; None if no pose is valid."""
     if spec.mode == "pose":
         drawn = random_pose(problem, rng, pose_limits(spec))
         return None if drawn is None else (problem.code0, drawn)

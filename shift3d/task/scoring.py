@@ -1,4 +1,4 @@
-"""What detectors make of one object: score and loss of each, and whether it may stand there."""
+"""Scoring: the detectors' scores and losses for one object, and its constraint check."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from shift3d.detectors.nms import suppress
 from shift3d.render.solvers.search import WarmStart
 from shift3d.vehicles.vehicle import Vehicle
 
-# Scores below this count as 0: their boxes are not even candidates for suppression. Recall curves are drawn
-# over [0, 1], so that the detector's own cut-off for display (0.1) would put a step into them. Our choice.
+# Scores below this count as 0: their boxes are not even candidates for suppression. Recall curves cover [0, 1], so the
+# detector's own cut-off for display (0.1) would put a step into them. Our choice.
 SCORE_FLOOR = 0.01
-# Of suppression. Source: the public Waymo config.
+# IoU threshold of suppression. Source: the public Waymo config.
 SUPPRESSION_IOU = 0.25
-# Boxes centred farther away suppress none near the object, nor any that could. It holds the corners of every window.
+# A box centred farther away suppresses no box near the object, and none that could. Covers the corners of every window.
 _AROUND_M = 2.0 * SCORE_RADIUS_M
-# Methods of many candidates that differ little from the solution, in one place: see `Nearby`.
+# Methods with many candidates at one place that differ little from the solution: see `Nearby`.
 SCORED_NEARBY = ("adversarial_noise",)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One object to be scored: a code and a pose, and how they were come by.
+    """One object to be scored: a code and a pose, and their origin.
 
-    vehicle: whose frame the code is drawn in; None: the task's own.
+    vehicle: vehicle whose object frame renders the code; None: the task's vehicle.
     """
 
     method: str
@@ -54,14 +54,14 @@ class Candidate:
     vehicle: Vehicle | None = None
 
     def is_same_object(self, other: Candidate) -> bool:
-        """Whether code, pose and frame are another's, to the bit."""
+        """True if latent code, pose and frame equal those of `other` bit for bit."""
         same = torch.equal(self.code, other.code) and torch.equal(self.theta, other.theta)
         return same and self.vehicle is other.vehicle
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What one detector makes of an object.
+    """One detector's result for an object.
 
     score: of the best box after suppression within the detection radius, 0 if none. adversarial_loss: L_adv.
     """
@@ -72,10 +72,10 @@ class Answer:
 
 @dataclass(frozen=True)
 class Scored:
-    """What a candidate came to.
+    """Results of scoring one candidate.
 
-    answers: by the detector's name, the attacked one first. measurement: its rendering and constraints.
-    milliseconds: by stage; the attacked detector's is "detector", another's "scored_by_<name>".
+    answers: by the detector's name, the attacked one first. measurement: rendering and constraints. milliseconds: by
+    stage; the attacked detector's is "detector", another's "scored_by_<name>".
     """
 
     answers: dict[str, Answer]
@@ -84,11 +84,11 @@ class Scored:
 
 
 class Nearby:
-    """Where the scores of noisy copies of a solution start: at the rendering of the solution (`note`), and at what a
-    detector makes of the scene without the object.
+    """Warm start for scoring the noisy copies of a solution.
 
-    Each of them is the frame after the empty scene, and the rendering after the solution's, so that no answer depends
-    on what was asked before, to the bit. Source: our choice: the paper scores every scene afresh.
+    The copies start from the solution's rendering (`note`) and from the detector's state for the scene without the
+    object. Each copy is the frame after the empty scene, and its rendering the one after the solution's, so that no
+    score depends on earlier copies: equal bit for bit. Source: our choice: the paper scores every scene from scratch.
     """
 
     def __init__(self) -> None:
@@ -96,16 +96,16 @@ class Nearby:
         self._seen: dict[BevWindow, IncrementalInference] = {}
 
     def note(self, method: str, scored: Scored) -> None:
-        """A candidate of a method has been scored: if it is the solution, its copies start from it."""
+        """Keep the rendering of a scored candidate if it is the solution; the copies start from it."""
         if method == "adversarial":
             self.warm = scored.measurement.rendering.warm
 
     def frames(self, problem: AttackProblem, theta: Tensor) -> IncrementalInference:
-        """Incremental inference that has seen the scoring window of a pose (6,) without the object."""
+        """Return incremental inference that has seen a pose's scoring window (pose (6,)) without the object."""
         window = problem.detector.window_for((float(theta[0]), float(theta[1])), SCORE_RADIUS_M)
         if window not in self._seen:
             seen = self._seen[window] = incremental_inference(problem.detector, window)
-            if not isinstance(seen, WholeWindow):  # which keeps nothing
+            if not isinstance(seen, WholeWindow):  # WholeWindow keeps no state
                 seen.proposals(to_network_frame(problem.cast_beams.points, problem.ground_z_m), window)
         return self._seen[window].fork()
 
@@ -118,11 +118,11 @@ def score_object(
     others: Mapping[str, Detector] | None = None,
     nearby: Nearby | None = None,
 ) -> Scored:
-    """Render one code (d,) at one pose (6,) afresh, once, and score it with every detector.
+    """Render one code (d,) at one pose (6,) once, and score the rendering with every detector.
 
-    radius_m: how near the object's centre the centre of a detecting box lies, metres. others: detectors by name that
-    score the same rendering, beside the problem's own. nearby: of the problem's own detector; rendering and answer
-    then start from there.
+    radius_m: largest distance of a detecting box's centre from the object's centre, metres. others: further detectors
+    by name, for the same rendering. nearby: warm start of the rendering and of the problem's own detector; None: from
+    scratch.
     Source: SHIFT3D, Evaluation Metrics.
     """
     with torch.no_grad():
@@ -140,7 +140,7 @@ def score_object(
 
 @contextlib.contextmanager
 def timed(spent: dict[str, float], stage: str) -> Iterator[None]:
-    """Add the milliseconds that a block takes to those of a stage."""
+    """Add the milliseconds of a block to a stage."""
     start = time.perf_counter()
     yield
     spent[stage] = spent.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
@@ -149,7 +149,7 @@ def timed(spent: dict[str, float], stage: str) -> Iterator[None]:
 def score_points(
     problem: AttackProblem, points: Tensor, theta: Tensor, radius_m: float, detectors: Mapping[str, Detector]
 ) -> dict[str, Answer]:
-    """What detectors make of a scene (N, 3) that holds the problem's object at a pose (6,), by their names."""
+    """Score a scene (N, 3) that holds the problem's object at a pose (6,), by the detectors' names."""
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
     return score_box(points, box, problem.ground_z_m, radius_m, detectors)
 
@@ -157,9 +157,10 @@ def score_points(
 def score_box(
     points: Tensor, box: NDArray[np.float64], ground_z_m: float, radius_m: float, detectors: Mapping[str, Detector]
 ) -> dict[str, Answer]:
-    """What detectors make of the object of a box (7,), network frame, in a scene (N, 3), by their names.
+    """Score the object of a box (7,), network frame, in a scene (N, 3), by the detectors' names.
 
-    points: scene frame, metres. radius_m: how near the object's centre the centre of a detecting box lies, metres.
+    points: scene frame, metres. radius_m: largest distance of a detecting box's centre from the object's centre,
+    metres.
     """
     found = boxes_around(points, box, ground_z_m, detectors)
     return {name: _answer(proposals, box, radius_m) for name, proposals in found.items()}
@@ -168,7 +169,7 @@ def score_box(
 def boxes_around(
     points: Tensor, box: NDArray[np.float64], ground_z_m: float, detectors: Mapping[str, Detector]
 ) -> dict[str, Proposals]:
-    """Every proposal around the object of a box (7,), network frame, in a scene (N, 3), by the detectors' names."""
+    """Return every proposal around a box (7,), network frame, in a scene (N, 3), by the detectors' names."""
     seen, centre = to_network_frame(points, ground_z_m), (float(box[0]), float(box[1]))
     with torch.no_grad():
         return {
@@ -178,18 +179,18 @@ def boxes_around(
 
 
 def detections_near(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> Detections:
-    """What suppression leaves, best first, down to the box that gives the object of a box (7,) its score.
+    """Return the detections around a box (7,) after suppression, best first, down to the one that gives the score.
 
-    radius_m: how near the object's centre the centre of that box lies, metres.
+    radius_m: largest distance of that detection's centre from the object's centre, metres.
     """
     return detections_until(proposals, box, is_near(proposals.boxes.double().numpy(), box, radius_m))
 
 
 def detections_until(proposals: Proposals, box: NDArray[np.float64], wanted: NDArray[np.bool_]) -> Detections:
-    """What suppression leaves around a box (7,), best first, down to the first of the proposals wanted (A,).
+    """Return the detections around a box (7,) after suppression, best first, down to the first one `wanted` (A,).
 
-    It hangs on nothing farther away, nor on how many proposals there are: a detector that sees the whole scene gives
-    tens of thousands that reach SCORE_FLOOR.
+    The result depends neither on boxes farther away nor on the number of proposals: a detector that sees the whole
+    scene returns tens of thousands that reach SCORE_FLOOR.
     """
     around = is_near(proposals.boxes.double().numpy(), box, _AROUND_M)
     return suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU, torch.from_numpy(around), wanted)

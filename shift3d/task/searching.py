@@ -1,4 +1,4 @@
-"""The search that a task asks for: what is searched, where it may go, and how."""
+"""Builds and runs the search of a task: variable, allowed set, and algorithm."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from shift3d.vehicles.vehicle import Vehicle
 
 
 def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> AttackResult:
-    """The solution of a task's search, within its number of evaluations.
+    """Run a task's search within its number of evaluations and return the solution.
 
     Raises: InputError for a space that the task's vehicles do not have.
     """
@@ -48,16 +48,16 @@ def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Attac
 
 
 def best_of_draws(spec: TaskSpec, problem: AttackProblem, assets: Assets, distance: float) -> AttackResult:
-    """The best of as many draws as the task's search has evaluations. distance: see `attack.trials.Search.draw`."""
+    """Return the best of `attack.steps` draws. distance: see `attack.trials.Search.draw`."""
     rng = generator("random search", spec.task_id)
     search, family = _searches(spec, problem, assets)
     return draw_best(problem, search, spec.attack.steps, rng, distance, family=family)
 
 
 def edited_vehicle(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Tensor:
-    """The code of the task's vehicle with the parameters of its edit put elsewhere.
+    """Return the code of the task's vehicle with the task's parameter edit applied.
 
-    Raises: InputError for a vehicle that is made of no parameters, or not of these.
+    Raises: InputError for a vehicle without parameters, or without this one.
     """
     _require_space(spec, assets)
     box = assets.vehicles.parameters(spec.vehicle)
@@ -65,12 +65,12 @@ def edited_vehicle(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Te
 
 
 def pose_limits(spec: TaskSpec) -> PoseLimits:
-    """Where a task's pose may go."""
+    """Return the limits of a task's pose."""
     return PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
 
 
 def _searches(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> tuple[Search, Family | None]:
-    """The search over the task's own kind, and the kinds that it may turn to, None where it stays."""
+    """Build the search over the task's own kind, and the family of kinds; None for a search of one kind."""
     if spec.mode == "pose":
         return pose_search(problem, pose_limits(spec)), None
     _require_space(spec, assets)
@@ -82,7 +82,7 @@ def _searches(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> tuple[S
 def _search(
     spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets, vehicle: Vehicle
 ) -> Search:
-    """The search over the kind of a vehicle. problem: of that vehicle. elsewhere: of it in other scenes."""
+    """Build the search over a vehicle's kind. problem: of that vehicle. elsewhere: of it in other scenes."""
     assert spec.lambda_ is not None
     space = _space(spec, problem, assets, vehicle)
     if spec.mode == "shape":
@@ -93,7 +93,7 @@ def _search(
 
 
 def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets) -> Family:
-    """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn."""
+    """Return every kind of the set within the budget, at the task's places; a kind is built when it is drawn."""
     budget = spec.attack.naturalness
     names = kinds_within(budget, assets.naturalness_of_kinds(spec)) if budget else assets.vehicles.kinds()
 
@@ -112,7 +112,7 @@ def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTas
 
 
 def _budget(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> Callable[[Tensor], bool] | None:
-    """Whether a code of a vehicle lies within the task's budget of naturalness; None without one."""
+    """Return the check that a vehicle's code is within the budget of naturalness; None without a budget."""
     budget, measures = spec.attack.naturalness, assets.naturalness(spec)
     if not budget:
         return None

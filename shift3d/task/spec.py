@@ -1,7 +1,7 @@
-"""The specification of one task, and its result.
+"""Specification of one task.
 
-A :class:`TaskSpec` holds every value that can change a task's result and nothing else: two specs with the
-same id give the same bytes. Where a task runs, where files lie and how many workers there are is not in it.
+A :class:`TaskSpec` holds every value that can change a task's result and nothing else: two specs with the same id give
+the same bytes. It does not hold the machine, file paths or the number of workers.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Any, Literal
 from shift3d.attack.names import SearchName, SpaceName
 from shift3d.seeding import derive_seed
 
-# Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
+# Raised if the same fields give another result (a changed algorithm under unchanged settings).
 SPEC_VERSION = 6
-# Version 5 names some settings otherwise; its tasks are read and keep their ids.
+# Version 5 has other names for some settings; its tasks can be read and keep their ids.
 _READ_VERSIONS = (5, SPEC_VERSION)
 _FORMER_EFFECTS = {"silent_beams": "no_return_beams"}
 
@@ -29,14 +29,12 @@ Mode = Literal["shape", "pose", "shape_pose"]
 
 @dataclass(frozen=True)
 class PlacementSpec:
-    """Where the vehicle may be inserted.
+    """Rules for the vehicle's placement.
 
-    min_range_m, max_range_m: horizontal distance from the sensor, metres. min_object_points: fewest
-    returns on the vehicle. overlap_m: deepest that an original scene point may lie inside the vehicle.
-    contact_m: how near the vehicle's surface some original scene point must lie. sector_centre_rad,
-    sector_half_width_rad: azimuth range about +x (pi: everywhere). attempts: tries before the task reports
-    that nothing fits.
-
+    min_range_m, max_range_m: horizontal distance from the sensor, metres. min_object_points: fewest returns on the
+    vehicle. overlap_m: largest depth of an original scene point inside the vehicle. contact_m: largest distance of the
+    nearest original scene point from the vehicle's surface. sector_centre_rad, sector_half_width_rad: azimuth range
+    about +x (pi: all directions). attempts: draws before the task reports that no place fits.
     Source: SHIFT3D section Setup and section Hyper-parameters; sector and attempts are our choice.
     """
 
@@ -52,24 +50,21 @@ class PlacementSpec:
 
 @dataclass(frozen=True)
 class AttackSpec:
-    """The search for a hard shape or pose, and the comparisons beside it.
+    """The search for a hard shape or pose, and the methods for comparison.
 
-    selection_window: steps before and after that count when one is kept, see `shift3d.attack.loop.best_step`.
+    selection_window: number of neighbouring steps for choosing the kept step, see `shift3d.attack.loop.best_step`.
     noise_sigma: standard deviation of the codes of ``adversarial_noise``; noise_share: the same as a share of the
-    solution's latent distance, where it is above 0. max_shift_m: largest |Δxy| of a pose, metres. max_tilt_rad:
-    largest change of pitch and roll from the ground's. below_ground_m: deepest that the vehicle may reach below the
-    plane of the ground; 0: only scene points are asked. detection_radius_m: from the vehicle's centre to that of a box
-    that detects it.
+    solution's latent distance, used if above 0. max_shift_m: largest |Δxy| of a pose, metres. max_tilt_rad: largest
+    change of pitch and roll from the ground's. below_ground_m: largest depth of the vehicle below the ground plane; 0:
+    only scene points limit it. detection_radius_m: largest distance of a detecting box's centre from the vehicle's.
 
-    search: how it goes; every search has ``steps`` evaluations. space: where a shape may go; components: of space pca;
-    space_hash: of the codes or ranges that bound it. rate, placements, starts: of search expectation. random_search: 1
-    where the best of as many random draws stands beside the solution, as method ``random_budget``. naturalness: the
-    percentile of the reference set that a shape may not pass during the search; 0: any shape. search_scenes: how many
-    of the task's transfer scenes, from the first, the loss of a shape is taken over beside its own. edit:
-    "NAME:PLACE", a parameter of a parametric decoder's vehicle and where in its kind's range it is put, -1 lowest to 1
-    highest, for the method ``edited``. budget_rule: how a search is held within ``naturalness``, `BUDGET_RULE`; 0
-    without a budget.
-
+    search: algorithm; every search has ``steps`` evaluations. space: allowed codes; components: of space pca;
+    space_hash: of the codes or ranges that bound the space. rate, placements, starts: of search expectation.
+    random_search: 1 adds the best of as many random draws as method ``random_budget``. naturalness: highest percentile
+    of the reference set for a shape during the search; 0: any shape. search_scenes: number of transfer scenes, from the
+    first, whose losses are averaged with the task's own. edit: "NAME:PLACE" for method ``edited``: a parameter of a
+    parametric decoder's vehicle and its place in the kind's range, -1 lowest to 1 highest. budget_rule: `BUDGET_RULE`,
+    the version of the rule for ``naturalness``; 0 without a budget.
     Source: SHIFT3D sections Hyper-parameters, Evaluation Metrics and Adversarial Pose Generation Results; searches but
     descent, and spaces but free, are our choice.
     """
@@ -99,7 +94,7 @@ class AttackSpec:
 
     @property
     def label(self) -> str:
-        """The search and where it goes, in a word: "descent", "expectation_pca10", "descent_within95_universal4"."""
+        """Short name of search and space: "descent", "expectation_pca10", "descent_within95_universal4"."""
         space = {"free": "", "pca": f"_pca{self.components}"}.get(self.space, f"_{self.space}")
         budget = f"_within{self.naturalness:g}" if self.naturalness else ""
         scenes = f"_universal{1 + self.search_scenes}" if self.search_scenes else ""
@@ -107,18 +102,18 @@ class AttackSpec:
         return f"{self.search}{space}{budget}{scenes}{edit}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values. What came later is left out where it is as the paper has it: tasks keep their ids."""
+        """Return plain values. Later fields are left out at the value of the paper, so that tasks keep their ids."""
         return {name: value for name, value in vars(self).items() if _LATER.get(name) != value}
 
 
 def split_label(label: str) -> tuple[str, float | None]:
-    """An `AttackSpec.label` without its budget, and the budget: "descent_within95" as ("descent", 95.0)."""
+    """Split an `AttackSpec.label` from its budget: "descent_within95" gives ("descent", 95.0)."""
     found = re.search(r"_within([0-9.]+(?:e[+-]?[0-9]+)?)", label)
     return (label, None) if found is None else (label.replace(found.group(), "", 1), float(found.group(1)))
 
 
 def label_words(label: str) -> str:
-    """An `AttackSpec.label` in words, its edit as it is written: "descent family chassis.height_m:-1"."""
+    """Return an `AttackSpec.label` in words, the edit unchanged: "descent family chassis.height_m:-1"."""
     found = _EDITED.fullmatch(label)
     head, edit = (label, "") if found is None else found.groups()
     return f"{head.replace('_', ' ')} {edit}".rstrip()
@@ -126,16 +121,16 @@ def label_words(label: str) -> str:
 
 _EDITED = re.compile(r"([a-z]+(?:_(?:pca\d+|parameters|family))?(?:_within[^_]+)?(?:_universal\d+)?)_(.+:.+)")
 BUDGET_RULE = 2
-"""Raised when a search within a budget of naturalness comes to another shape under the same settings."""
+"""Raised if a search within a budget of naturalness gives another shape under the same settings."""
 _LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
           "random_search": 0, "naturalness": 0.0, "noise_share": 0.0, "search_scenes": 0, "edit": "",
           "space_hash": "", "budget_rule": 0, "below_ground_m": 0.0}  # fmt: skip
-"""Fields that specs of version 6 had not from the beginning, with the values that leave a task as it was."""
+"""Fields added to specs during version 6, with the values that leave an earlier task unchanged."""
 
 
 @dataclass(frozen=True)
 class TransferScene:
-    """Another scene that a shape is put into: its name, the hash of its content, and the effects it calls for."""
+    """Another scene that a shape is put into: its name, the hash of its content, and the effects that it uses."""
 
     scene: str
     scene_hash: str
@@ -143,23 +138,22 @@ class TransferScene:
 
     @staticmethod
     def of(values: Mapping[str, Any]) -> TransferScene:
-        """Of plain values by these names."""
+        """Create from plain values by these names."""
         return TransferScene(values["scene"], values["scene_hash"], tuple(values["effects"]))
 
 
 @dataclass(frozen=True)
 class TaskSpec:
-    """One vehicle in one scene, attacked once.
+    """One attack on one vehicle in one scene.
 
-    lambda_: weight of the latent distance; None for a pose task, which has no such term (any value given is
-    dropped, so that a sweep over lambda holds each pose task once). alpha: step size. accuracy: a preset's
-    name, with accuracy_settings the values that differ from or refine it. effects: names, in physical order; with
-    effect_settings what is said about the scene beyond what it states (`scenes.facts.EffectSettings`).
-    scene_arguments: what the scene was made from, for the reader of a plan. scored_by: detectors that score every
-    solution; the attacked one is put first, whether it is named or not. detector_hashes: of each of them, by name.
-    transfer_scenes: other scenes that the adversarial shape is put into; none for a pose task, whose pose belongs to
-    its scene. reference_hash: of what the reference set of naturalness is made from; empty: it is not measured. The
-    hashes are 128-bit BLAKE2b, hex.
+    lambda_: weight of the latent distance; None for a pose task, which has no such term (a given value is dropped, so
+    that a sweep over lambda holds each pose task once). alpha: step size. accuracy: name of a preset;
+    accuracy_settings: values that differ from or refine it. effects: names, in physical order; effect_settings:
+    additional facts about the scene (`scenes.facts.EffectSettings`). scene_arguments: origin of the scene, for readers
+    of a plan. scored_by: detectors that score every solution; the attacked one is always included, first.
+    detector_hashes: of each of them, by name. transfer_scenes: other scenes that the adversarial shape is put into;
+    none for a pose task, whose pose belongs to its scene. reference_hash: of the source of the reference set of
+    naturalness; empty: naturalness is not measured. The hashes are 128-bit BLAKE2b, hex.
     """
 
     vehicle: str
@@ -193,15 +187,15 @@ class TaskSpec:
             object.__setattr__(self, "transfer_scenes", ())
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain nested dictionaries, ready for JSON."""
+        """Return plain nested dictionaries, ready for JSON."""
         values = dataclasses.asdict(self) | {"attack": self.attack.to_dict(), "spec_version": SPEC_VERSION}
-        if not self.reference_hash:  # the id of a task that measures none is that of a program that could not
+        if not self.reference_hash:  # without it the id equals that of earlier specs, which lack the field
             del values["reference_hash"]
         return values
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> TaskSpec:
-        """The inverse of :meth:`to_dict`. Raises ValueError for another spec version."""
+        """Invert :meth:`to_dict`. Raises ValueError for another spec version."""
         values = dict(values)
         version = values.pop("spec_version")
         if version not in _READ_VERSIONS:
@@ -215,7 +209,7 @@ class TaskSpec:
         return TaskSpec(**values)
 
     def canonical_json(self) -> str:
-        """The one spelling of this spec: keys sorted, no spaces, shortest round-trip floats, no NaN."""
+        """Return the canonical JSON: keys sorted, no spaces, shortest round-trip floats, no NaN."""
         return json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
     @functools.cached_property
@@ -225,16 +219,15 @@ class TaskSpec:
 
     @property
     def search(self) -> str:
-        """How its search goes, see `AttackSpec.label`; a pose has no space."""
+        """Short name of the search, see `AttackSpec.label`; for a pose without a space."""
         return self.attack.search if self.mode == "pose" else self.attack.label
 
     @property
     def placement_seed(self) -> int:
-        """64-bit seed of where the vehicle is put: shared by the tasks that should be compared in one place.
+        """64-bit seed of the vehicle's placement, shared by tasks that should be compared at one place.
 
-        Shape and pose attacks, every lambda, step size, accuracy and detector put the same vehicle at the
-        same place of the same scene, so that their differences are paired. Source: our choice: the paper
-        is silent.
+        Shape and pose attacks, every lambda, step size, accuracy and detector put the same vehicle at the same place of
+        the same scene, so that their differences are paired. Source: our choice: the paper is silent.
         """
         what = (self.scene_hash, self.vehicle_hash, self.decoder_hash)
         where = json.dumps(vars(self.placement), sort_keys=True)
@@ -242,7 +235,7 @@ class TaskSpec:
 
     @property
     def baseline(self) -> TaskSpec:
-        """What the unchanged vehicle's place and score depend on: the task without its search.
+        """The task without its search: the inputs of the unchanged vehicle's place and score.
 
         Equal for tasks that differ in mode, weight, step size or search alone.
         """
@@ -251,9 +244,10 @@ class TaskSpec:
         return dataclasses.replace(self, mode="pose", alpha=0.0, attack=attack, transfer_scenes=(), reference_hash="")
 
     def moved_to(self, other: TransferScene, placing_hash: str | None = None) -> TaskSpec:
-        """The same task in another scene, for putting what was found there: a place of its own, the same under every
-        lambda, step size, accuracy and detector. placing_hash: of the task's scene as its vehicle is placed there,
-        None: as the task sees it."""
+        """Return the task in another scene, at one place for every lambda, step size, accuracy and detector.
+
+        placing_hash: hash of the task's scene as used for the placement; None: of the scene as the task sees it.
+        """
         here = self if placing_hash is None else dataclasses.replace(self, scene_hash=placing_hash)
         return dataclasses.replace(
             self,
@@ -266,7 +260,7 @@ class TaskSpec:
 
 
 def _current(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a spec of version 5 by the valid names."""
+    """Rename the fields of a version 5 spec to the valid names."""
     attack = dict(values["attack"])
     del attack["sphere_m"]
     if "steady_steps" in attack:

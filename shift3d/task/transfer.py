@@ -1,4 +1,4 @@
-"""A shape that was found in one scene put into others: does it fool the detector there too?"""
+"""Transfer: puts a shape that was found in one scene into other scenes, and scores it there."""
 
 from __future__ import annotations
 
@@ -23,40 +23,38 @@ MovedTask = tuple[TaskSpec, AttackProblem]
 
 
 def places_elsewhere(spec: TaskSpec, assets: Assets) -> list[tuple[TaskSpec, Tensor]]:
-    """The task in each of the scenes that a universal shape is searched in beside its own, and its vehicle's pose (6,)
-    there. A scene without room is left out.
+    """Return the task in each further scene of a universal search, with its vehicle's pose (6,) in that scene.
 
-    Raises: InputError: a scene that cannot be loaded, or is not what the task was planned with.
+    Scenes without room are left out. Raises: InputError: a scene that cannot be loaded, or that differs from the plan.
     """
     moved = (_moved(spec, other, assets) for other in spec.transfer_scenes[: spec.attack.search_scenes])
     return [(there, theta) for there in moved if (theta := placed_pose(there, assets)) is not None]
 
 
 def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[MovedTask]:
-    """The task's vehicle at each of `places_elsewhere`. problem: the task's own, whose detector they share."""
+    """Build a problem at each of `places_elsewhere`. problem: the task's own; the problems share its detector."""
     places = places_elsewhere(spec, assets)
     return [(there, replace(build_problem(there, assets, theta), detector=problem.detector)) for there, theta in places]
 
 
 def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehicle | None = None) -> Iterator[Row]:
-    """Score a code (d,) and its baseline at one place of each of the task's other scenes that were not searched in.
+    """Score a code (d,) and its baseline at one place of each transfer scene that was not used in the search.
 
-    vehicle: whose frame the code is drawn in; None: the task's own.
+    vehicle: vehicle whose object frame renders the code; None: the task's vehicle.
 
-    Yields: a row a scene and detector, scenes in the spec's order. The place and heading are random, drawn for the
-    baseline under its own constraints; the shape stands on the ground at the same x, y and heading. A scene without
-    room is a row without scores.
-
-    Raises: InputError: a scene that cannot be loaded, or is not what the task was planned with.
+    Yields: a row per scene and detector, scenes in the spec's order. Place and heading are random, drawn for the
+    baseline under its own constraints; the shape is on the ground at the same x, y and heading. A scene without room
+    gives a row without scores.
+    Raises: InputError: a scene that cannot be loaded, or that differs from the plan.
     Source: SHIFT3D, Adversarial Shape Generation Results (10 distinct scenes, random yaw, the baseline under identical
-        rotation and translation). That the height follows the shape is our choice, as in `attack.shape`.
+    rotation and translation). That the height follows the shape is our choice, as in `attack.shape`.
     """
     for other in spec.transfer_scenes[spec.attack.search_scenes :]:
         yield from _put(_moved(spec, other, assets), other, assets, code, vehicle)
 
 
 def _moved(spec: TaskSpec, other: TransferScene, assets: Assets) -> TaskSpec:
-    """The task in another scene, at the same place there whatever beams see its own."""
+    """Move the task to another scene; the place there does not depend on the beams that see the task's own scene."""
     return spec.moved_to(other, assets.placing_scene(spec)[2])
 
 

@@ -1,1 +1,1 @@
-"""What solvers ask of a vehicle: its field in metres, a grid of it, its box, and its linearization."""
+"""Field of a vehicle for the solvers: metric field, SDF grid, verified bounding box, linearization."""

@@ -1,4 +1,4 @@
-"""A box around the zero level set that is checked, not assumed."""
+"""Verified bounding box: a box around the zero level set that is checked with field evaluations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from shift3d.render.culling import Box
 from shift3d.render.field.object_field import ObjectField
 
 SDF_RADIUS = 1.05
-"""Radius of the ball, sdf units, in which a DeepSDF decoder has been trained: shapes lie in the unit ball."""
+"""Radius of the ball, sdf units, in which a DeepSDF decoder has been trained; shapes lie in the unit ball."""
 _CELL_M = 0.45
 _LEVELS = 3
 _STEEPEST = 1.11
@@ -21,25 +21,24 @@ _LOOK_AGAIN_M = 0.005
 
 
 def sdf_ball_box(field: ObjectField) -> Box:
-    """The box around the ball in which the decoder was trained: nothing of a shape can lie outside."""
+    """Return the bounding box of the ball in which the decoder was trained; no part of a shape can lie outside."""
     centre = -(field.sdf_t_object @ field.sdf_R_object) * field.scale_m
     radius = SDF_RADIUS * field.scale_m
     return Box(centre - radius, centre + radius)
 
 
 def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> VerifiedBox:
-    """The vehicle's box grown by a margin and, where the field is inside at a check point, further.
+    """Compute the verified bounding box: the vehicle's box plus a margin, grown until no check point is inside.
 
-    A shape under attack can outgrow the box of its baseline. Checked is what of the decoder's ball lies outside the
-    box: cells of 0.45 m; a cell whose centre has less free space than its corners are away is divided, down to 0.11 m.
-    A part with a radius of 0.1 m or more is found, whether it floats free or sticks out. A field that is inside all
-    over ends at the ball's own box. A NaN counts as inside, so that the beams that meet it are looked at and counted.
+    A shape under attack can outgrow the box of its baseline. The check covers the part of the decoder's ball outside
+    the box with cells of 0.45 m. A cell is divided, down to 0.11 m, if g at its centre does not prove the cell free up
+    to its corners. Every part with a radius of 0.1 m or more is found, attached to the body or not. A field that is
+    negative everywhere gives the ball's own box. A NaN counts as inside, so that the beams that meet it are evaluated
+    and counted.
 
     Args:
-        field: metric distance in the object frame.
+        field: metric distance in the object frame. margin_m: growth of each face.
         size_m: (3,) size of the baseline's box, centred at the object's origin.
-        margin_m: growth of each face.
-
     Source: our choice: the paper is silent.
     """
     ball = sdf_ball_box(field)
@@ -61,9 +60,9 @@ def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Verifie
 
 
 def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tensor]:
-    """Centres (P, 3) of the cells outside a box that were looked at, and g (P,) there.
+    """Evaluate octree cells outside a box. Returns their centres (P, 3) and g (P,) at the centres.
 
-    An octree of three levels, or of those up to the first at which something lies inside the object.
+    The octree has three levels; the search stops at the first level that has a centre inside the object.
     """
     centre, radius = (ball.lower + ball.upper) / 2, (ball.upper - ball.lower)[0] / 2
     axes = [
@@ -74,13 +73,13 @@ def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tens
     for _ in range(_LEVELS):
         outside = ((points - size_m / 2 < box.lower) | (points + size_m / 2 > box.upper)).any(-1)
         points = points[outside & ((points - centre).norm(dim=-1) <= radius + size_m / 2)]
-        # A cell on a face is asked there, so that a panel is noticed in the step that takes it through the face.
+        # A cell that a face of the box cuts is evaluated on the face, so that a panel is noticed as soon as it passes.
         on_face = ((points - size_m / 2 <= box.upper) & (points + size_m / 2 >= box.lower)).all(-1, keepdim=True)
         points = torch.where(on_face, _onto_faces(points, box), points)
         g = field.estimate(points).double()
         found.append((points, g))
         if bool((~(g > 0)).any()):
-            break  # the box grows, and all is looked at again
+            break  # the box grows, and every cell is checked again
         near = ~(g > _STEEPEST * size_m * 3**0.5 / 2) & (g > 0)
         octants = torch.cartesian_prod(*[torch.tensor([-0.25, 0.25], dtype=torch.float64)] * 3) * size_m
         points, size_m = (points[near][:, None] + octants).reshape(-1, 3), size_m / 2
@@ -89,7 +88,7 @@ def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tens
 
 
 def _onto_faces(points: Tensor, box: Box) -> Tensor:
-    """Points (P, 3), each moved to the nearest place on the box's faces."""
+    """Move each point (P, 3) to the nearest place on the faces of the box."""
     inside = ((points > box.lower) & (points < box.upper)).all(-1)
     below, above = points - box.lower, box.upper - points
     _, axis = torch.minimum(below, above).min(-1)
@@ -101,9 +100,10 @@ def _onto_faces(points: Tensor, box: Box) -> Tensor:
 
 @dataclass(frozen=True)
 class VerifiedBox:
-    """A checked box and the places (P, 3) where it was checked.
+    """A checked box with its check points (P, 3).
 
-    g: (P,) distances found there. moved_m: (P,) how far the surface may have moved since each was looked at.
+    g: (P,) field values at the check points. moved_m: (P,) most that the surface can have moved since each was
+    evaluated.
     """
 
     box: Box
@@ -113,11 +113,12 @@ class VerifiedBox:
 
     @property
     def holds(self) -> bool:
-        """Whether nothing was found to have left the box. A NaN counts as having left."""
+        """True if no check point is inside the object, so that no part has left the box. A NaN counts as inside."""
         return bool((self.g > 0).all())
 
     def after(self, field: ObjectField, moved_m: float) -> VerifiedBox:
-        """The box after the surface moved by up to `moved_m`: places that it can have come near are looked at again."""
+        """Check again after the surface moved by up to `moved_m`; evaluates only check points that the surface can
+        reach."""
         moved = self.moved_m + moved_m
         near = torch.nonzero(~(self.g > moved + _LOOK_AGAIN_M)).squeeze(1)
         g = self.g.index_copy(0, near, field.estimate(self.points[near]).double())

@@ -1,9 +1,9 @@
-"""The field about each hit, to first order in place and code: what moves a hit now, and where it will be found next.
+"""Linearization of the field at each hit, to first order in position and latent code, for gradients and predictions.
 
-One linear model serves twice. Asked about the field and the places that it was made at, it is worth 0 and carries the
-exact derivatives of g by pose and code: that is the implicit gradient (see `implicit`). Asked about the code and pose
-of the next step, it predicts by how much g has changed there, and so where the beam meets the surface: attacks descend
-in small steps, and most hits are found within half a millimetre of that (see `corrector`).
+At the field and the positions that it was made at, the linear model is 0 and has the exact derivatives of g by pose and
+code: the implicit gradient (see `implicit`). At the code and pose of the next step, the model predicts the change of g,
+and so the range at which the beam meets the surface. Attacks descend in small steps: most hits are found within half a
+millimetre of the prediction (see `corrector`).
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from shift3d.sdf.field import Field as DecoderField
 
 @dataclass(frozen=True)
 class Linearization:
-    """The field about M places on beams; constants but for `graph`.
+    """The linearized field at M positions on beams. All tensors but `graph` are constants.
 
     Attributes:
-        index: (M,) beams, ascending. range_m: (M,) float64 where on them.
-        x_object: (M, 3) float64 the places. g: (M,) float64 metric distance there. gradient: (M, 3) float64.
+        index: (M,) beams, ascending. range_m: (M,) float64 ranges of the positions.
+        x_object: (M, 3) float64 positions. g: (M,) float64 metric distance. gradient: (M, 3) float64 gradient of g.
         at_bias: layer to (M, width) derivative of g by the decoder's bias through which the code enters, metres.
-        biases: layer to (width,) that bias.
-        graph: (M,) g itself with its way back to the code, for fields that are no decoder's; None otherwise.
+        biases: layer to (width,) value of that bias.
+        graph: (M,) g with its autograd graph to the code, for fields that are not a decoder's; None otherwise.
     """
 
     index: Tensor
@@ -44,11 +44,11 @@ class Linearization:
         return len(self.index)
 
     def select(self, rows: Tensor) -> Linearization:
-        """Some of them, by row or by mask."""
+        """Select positions by row number or by mask."""
         return self._of(take(self._parts(), rows), self._graph_of(lambda graph: graph[rows]))
 
     def joined(self, other: Linearization) -> Linearization:
-        """These and others of the same field, by beam."""
+        """Merge with another linearization of the same field, in the order of the beams."""
         if len(other) == 0 or len(self) == 0:
             return self if len(other) == 0 else other
         order, theirs = torch.argsort(torch.cat((self.index, other.index))), other.graph
@@ -60,26 +60,26 @@ class Linearization:
         return (self.index, self.range_m, self.x_object, self.g, self.gradient, *self.at_bias.values())
 
     def _of(self, parts: Iterable[Tensor], graph: Tensor | None) -> Linearization:
-        """Of the same field, with other `_parts`."""
+        """Return a linearization of the same field from other `_parts`."""
         index, range_m, x_object, g, gradient, *at_bias = parts
         by_layer = dict(zip(self.at_bias, at_bias, strict=True))
         return Linearization(index, range_m, x_object, g, gradient, by_layer, self.biases, graph)
 
     def _graph_of(self, part: Callable[[Tensor], Tensor]) -> Tensor | None:
-        """A part of the graph with its way back to the code, which a search without gradients would cut."""
+        """Apply `part` to the graph with gradients enabled: under no_grad the path to the code would be lost."""
         if self.graph is None:
             return None
         with torch.enable_grad():
             return part(self.graph)
 
     def without_graph(self) -> Linearization:
-        """The same as constants: of a field that is no decoder's nothing then tells what its code does."""
+        """Return the same as constants; then a field that is no decoder's has no derivative by the code."""
         return replace(self, graph=None)
 
     def change(self, field: ObjectField, x_object: Tensor) -> Tensor:
-        """(M,) float64: by how much g changes when the places move to x_object (M, 3) and the field becomes `field`.
+        """Compute the change of g, (M,) float64, if positions move to x_object (M, 3) and the field becomes `field`.
 
-        Differentiable w.r.t. x_object and whatever the biases of `field` depend on; exactly 0 where nothing changed.
+        Differentiable w.r.t. x_object and whatever the biases of `field` depend on; exactly 0 if nothing changed.
         """
         change = ((x_object - self.x_object) * self.gradient).sum(-1)
         if isinstance(field.sdf, DecoderField):
@@ -91,9 +91,9 @@ class Linearization:
 
 
 def linearize(field: ObjectField, rays: Rays, k: Tensor) -> Linearization:
-    """The field about the places at ranges k (M,) of M rays: what eqs. dl_dz to theta_final of SHIFT3D need of it.
+    """Linearize the field at ranges k (M,) of M rays, as eqs. dl_dz to theta_final of SHIFT3D need it.
 
-    Costs two evaluations a place, counted as one. It says nothing of a code that no gradient is asked for.
+    Costs two evaluations a position, counted as one. Has derivatives by the code only if the code requires a gradient.
     """
     x_object = rays.at(k)
     if len(rays) and isinstance(field.sdf, DecoderField):
@@ -119,7 +119,7 @@ def _of_decoder(
 
 
 def _by_autograd(field: ObjectField, x_object: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-    """The plain way, for any field: g, its gradient by the place, and g with its graph back to the code."""
+    """Linearize any field by autograd: g, its gradient by position, and g with its graph to the code."""
     with torch.enable_grad():
         with_code = field.depends_on_code()
         leaf = x_object.detach().requires_grad_()

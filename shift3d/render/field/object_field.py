@@ -1,4 +1,4 @@
-"""The vehicle's field in its own frame and in metres."""
+"""Field of a vehicle in its object frame and in metres."""
 
 from __future__ import annotations
 
@@ -15,39 +15,40 @@ from shift3d.sdf.field import Field as DecoderField
 from shift3d.sdf.linear_regions import LinearRegion
 
 _LEAST_SAVED = 96
-"""Fewer points than this take as long to fetch the weights for as to evaluate: once, then, in float32."""
+"""Below this number of points fetching the weights takes as long as evaluating: evaluate once, in float32."""
 
 
 LiveUnits = tuple[Tensor, ...] | None
-"""Hidden units that are on somewhere, a bool mask a hidden layer; None: not known, all are evaluated."""
+"""Hidden units that are on (positive) at some point: one bool mask per hidden layer. None: unknown, evaluate all units.
+"""
 
 
 def either(a: LiveUnits, b: LiveUnits) -> LiveUnits:
-    """Units that are on in one survey or the other."""
+    """Unite two surveys: units that are on in one of them; None if one is unknown."""
     if a is None or b is None:
         return None
     return tuple(one | other for one, other in zip(a, b, strict=True))
 
 
 class Field(Protocol):
-    """Signed distance of one shape in the frame the decoder was trained in, negative inside."""
+    """Signed distance of one shape in the frame that the decoder was trained in (sdf frame), negative inside."""
 
     def __call__(self, x_sdf: Tensor, /) -> Tensor:
-        """(N, 3) sdf-frame points to (N,) distances in sdf units, in the dtype of x_sdf."""
+        """Map sdf-frame points (N, 3) to distances (N,) in sdf units, in the dtype of x_sdf."""
         ...
 
 
 @runtime_checkable
 class PiecewiseField(Protocol):
-    """A field that is piecewise linear along lines, but for a last function that keeps sign and roots."""
+    """A field that is piecewise linear along lines, up to a final function that preserves sign and roots (tanh)."""
 
     def region(self, x_sdf: Tensor, direction: Tensor, /) -> LinearRegion:
-        """See `sdf.linear_regions.linear_region`."""
+        """Return the linear regions on which lines start; see `sdf.linear_regions.linear_region`."""
         ...
 
 
 class VehicleFrame(Protocol):
-    """How a vehicle's sdf frame lies in its object frame: x_sdf = sdf_R_object x_object / scale_m + sdf_t_object."""
+    """Transform from the object frame to the sdf frame: x_sdf = sdf_R_object x_object / scale_m + sdf_t_object."""
 
     @property
     def scale_m(self) -> float: ...
@@ -61,7 +62,7 @@ class VehicleFrame(Protocol):
 
 @dataclass
 class EvaluationCount:
-    """How often a field was evaluated, in points: in all, and of these in bfloat16 alone."""
+    """Numbers of points at which a field was evaluated: all, and those in bfloat16 alone (`coarse`)."""
 
     evaluations: int = 0
     coarse: int = 0
@@ -71,11 +72,9 @@ class EvaluationCount:
 class ObjectField:
     """Metric signed distance in the object frame: scale_m * g(x_sdf).
 
-    Takes (N, 3) float64 object-frame points, hands the field `dtype`, returns (N,) in `dtype`.
-    Differentiable with respect to the points and to whatever the field depends on.
-
-    Source: SHIFT3D, Pose Transformation; the scale ("we manually scaled each baseline object") is a
-    property of the vehicle.
+    Takes (N, 3) float64 object-frame points, evaluates the field in `dtype`, returns (N,) in `dtype`. Differentiable
+    with respect to the points and whatever the field depends on. Source: SHIFT3D, Pose Transformation; the scale ("we
+    manually scaled each baseline object") is a property of the vehicle.
     """
 
     sdf: Field
@@ -91,9 +90,9 @@ class ObjectField:
     def of(
         sdf: Field, vehicle: VehicleFrame, dtype: torch.dtype, batch: int, bfloat16_band_m: float = 0.0
     ) -> ObjectField:
-        """The field of a vehicle, evaluated in `dtype`, `batch` points at a time.
+        """Build the field of a vehicle, evaluated in `dtype`, `batch` points at a time.
 
-        bfloat16_band_m: `estimate` uses bfloat16 beyond this distance from the surface; 0 never.
+        bfloat16_band_m: `estimate` uses bfloat16 farther than this from the surface; 0: never.
         """
         return ObjectField(
             sdf,
@@ -107,7 +106,7 @@ class ObjectField:
 
     @property
     def rough(self) -> Bfloat16Field | None:
-        """The field in bfloat16, where it may be used and is fast."""
+        """The field in bfloat16; None if bfloat16 is not allowed or not fast."""
         if not isinstance(self.sdf, DecoderField) or self.dtype != torch.float32 or self.bfloat16_band_m <= 0:
             return None
         return self.sdf.rough
@@ -120,13 +119,10 @@ class ObjectField:
         return torch.cat([self.sdf(part) for part in x_sdf.split(self.batch)]) * self.scale_m
 
     def estimate(self, x_object: Tensor, expected_m: Tensor | None = None) -> Tensor:
-        """The distance for deciding where to sample next: exact within bfloat16_band_m of the surface and inside it.
+        """Estimate distances for choosing samples: exact inside and within bfloat16_band_m of the surface.
 
-        Args:
-            expected_m: (N,) what it may be, NaN where nobody knows: what is likely near would be evaluated twice, and
-                is evaluated exactly at once.
-
-        Not differentiable.
+        expected_m: (N,) expected distances, NaN where unknown. A point that is expected to be near is evaluated exactly
+        at once; an estimate first would cost a second evaluation. Not differentiable.
         """
         far = torch.arange(len(x_object))
         if expected_m is not None:  # NaN compares false
@@ -136,7 +132,7 @@ class ObjectField:
         parts = self.to_sdf(x_object[far]).split(self.batch)
         rough = torch.cat([self.rough(part) for part in parts]) * self.scale_m
         g = torch.zeros(len(x_object), dtype=rough.dtype).index_copy(0, far, rough)
-        # A NaN is looked at again, too.
+        # A NaN is evaluated again, too.
         near = torch.nonzero(~(g >= self.bfloat16_band_m)).squeeze(1)
         self.count.evaluations += len(x_object) - len(near)
         self.count.coarse += len(x_object) - len(near)
@@ -145,9 +141,10 @@ class ObjectField:
         return g
 
     def survey(self, x_object: Tensor) -> tuple[Tensor, LiveUnits]:
-        """The distances at points (N, 3), good for deciding where to sample, and the hidden units that are on there.
+        """Estimate the distances at points (N, 3), and find the hidden units that are on at any of these points.
 
-        In bfloat16 where `estimate` is. None for fields that are no decoder's. Not differentiable.
+        The distances are for choosing samples, in bfloat16 if `estimate` uses it. The units are None for a field that
+        is no decoder's. Not differentiable.
         """
         if not isinstance(self.sdf, DecoderField):
             return self(x_object), None
@@ -158,15 +155,15 @@ class ObjectField:
         return torch.cat([g for g, _ in parts]) * self.scale_m, live
 
     def sliced(self, live: LiveUnits) -> ObjectField:
-        """The same field without the hidden units that are not live, counted together; itself where none is known."""
+        """Return the field without the hidden units that are off, with the same counter; itself if `live` is None."""
         if live is None or not isinstance(self.sdf, DecoderField):
             return self
         return dataclasses.replace(self, sdf=self.sdf.sliced(live))
 
     def float32_copy(self) -> ObjectField | None:
-        """The same field evaluated in float32, counted together; None for fields that are no decoder's.
+        """Return the field in float32, with the same counter; None if it is float32 already or is not a decoder's.
 
-        Differs by what rounding its weights and its arithmetic does, see `settings.reachable_residual_m`.
+        Differs by the rounding of weights and arithmetic, see `settings.reachable_residual_m`.
         """
         if not isinstance(self.sdf, DecoderField) or self.dtype == torch.float32:
             return None
@@ -175,14 +172,14 @@ class ObjectField:
         return dataclasses.replace(self, sdf=copy, dtype=torch.float32)
 
     def piecewise_linear(self) -> bool:
-        """Whether the field can tell its linear regions along a beam."""
+        """True if the field can return its linear regions along a beam."""
         return isinstance(self.sdf, PiecewiseField)
 
     def region(self, x_object: Tensor, direction: Tensor) -> LinearRegion:
-        """The linear regions on which beams start; counts as two evaluations each.
+        """Compute the linear regions on which beams start; counts as two evaluations each.
 
         Args: x_object: (N, 3) starts. direction: (N, 3) unit vectors; both object frame, float64.
-        Returns: values in metres, slopes in metres a metre, lengths in metres; float64.
+        Returns: values in metres, slopes in metres per metre, lengths in metres; float64.
         """
         assert isinstance(self.sdf, PiecewiseField)
         self.count.evaluations += 2 * len(x_object)
@@ -197,12 +194,12 @@ class ObjectField:
         return LinearRegion(value * self.scale_m, slope * self.scale_m, length)
 
     def to_sdf(self, x_object: Tensor) -> Tensor:
-        """Points (N, 3) of the object frame in the sdf frame, in the field's dtype."""
+        """Transform points (N, 3) from the object frame to the sdf frame, in the field's dtype."""
         x_sdf = x_object @ (self.sdf_R_object.T / self.scale_m) + self.sdf_t_object
         return x_sdf.to(self.dtype)
 
     def depends_on_code(self) -> bool:
-        """Whether the field carries gradients of its own (a latent code that requires them)."""
+        """True if the field carries gradients to a latent code that requires them."""
         if not torch.is_grad_enabled():
             return False
         if isinstance(self.sdf, DecoderField):

@@ -1,11 +1,10 @@
-"""The field on a grid: of a shape that is rendered many times, and, coarser, of one that changes.
+"""SDF grids: trilinear lookup tables of a field over the vehicle's box.
 
-Poses, placements and baselines render one latent code again and again. An `SdfGrid` of its field, coarse in the whole
-box and finer around the surface, predicts samples along a ray and where it crosses the surface, without an
-evaluation. The error bound of a prediction is measured when the grid is made, at places between its nodes, and taken
-half as large again.
+Poses, placements and baselines render one latent code many times. `SdfGrid.of` its field, fine near the surface and
+coarser elsewhere, predicts samples and surface crossings along rays without evaluations. The error bound of a
+prediction is 1.5 times the largest error measured between nodes when the grid is made, at least 5 mm.
 
-A coarse grid has nodes 0.45 m apart. Two of them say by how much the field changed between two codes.
+`SdfGrid.coarse` has nodes 0.45 m apart. Two coarse grids give the change of the field between two codes.
 
 Source: our choice: the paper evaluates the field everywhere.
 """
@@ -25,11 +24,11 @@ from shift3d.render.field.object_field import Field, LiveUnits, ObjectField, Veh
 from shift3d.render.settings import STANDARD, RenderSettings
 
 SPACING_M = 0.05
-"""Of an SDF grid near the surface; twice as much elsewhere."""
+"""Node spacing of an SDF grid near the surface; twice as much elsewhere."""
 SAMPLE_M = 0.02
 """Spacing of the readings along a ray."""
 COARSE_SPACING_M = 0.45
-"""Of a coarse grid, at most."""
+"""Largest node spacing of a coarse grid."""
 _FINE_BAND_M = (-0.09, 0.12)
 _CHECKS = 4000
 _MARGIN = 1.5
@@ -40,11 +39,11 @@ _LEAST_FREE_M = 0.004
 
 @dataclass(frozen=True)
 class SdfGrid:
-    """Distances at nodes over a shape's box.
+    """Field values at grid nodes over a shape's box.
 
-    box: verified box, object frame. distance_m: (nx, ny, nz) float32 at its nodes, corners included. error_m: error
-    bound of a reading near the surface; infinite for a coarse grid. evaluations: what the grid cost. live: hidden units
-    that are on at its nodes.
+    box: verified box, object frame. distance_m: (nx, ny, nz) float32 at the nodes, corners included. error_m: error
+    bound of a reading near the surface; infinite for a coarse grid. evaluations: number of evaluations that the grid
+    took. live: hidden units that are on at the nodes.
     """
 
     box: Box
@@ -55,7 +54,7 @@ class SdfGrid:
 
     @staticmethod
     def of(sdf: Field, vehicle: VehicleFrame, settings: RenderSettings = STANDARD) -> SdfGrid:
-        """The grid of one code's field. About 90,000 evaluations for a car."""
+        """Compute the grid of one latent code's field. Takes about 90,000 evaluations for a car."""
         metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch, settings.bfloat16_band_m)
         with torch.no_grad():
             box = verified_box(metric, vehicle_size(vehicle), settings.box_margin_m).box
@@ -74,29 +73,29 @@ class SdfGrid:
 
     @staticmethod
     def coarse(field: ObjectField, box: Box, more: Tensor) -> SdfGrid:
-        """The coarse grid of a field. live: units that are on at its nodes, or at more places (n, 3), object frame."""
+        """Compute a field's coarse grid; `live`: units that are on at its nodes or at `more` (n, 3), object frame."""
         nodes, shape = _coarse_nodes(box)
         g, live = field.survey(torch.cat((nodes, more)))
         return SdfGrid(box, g[: len(nodes)].float().reshape(shape), live=live)
 
     def coarsened(self) -> SdfGrid:
-        """What this grid says at the nodes of a coarse one."""
+        """Resample this grid at the nodes of a coarse grid, without evaluations."""
         nodes, shape = _coarse_nodes(self.box)
         return SdfGrid(self.box, self.at(nodes).reshape(shape), live=self.live)
 
     def variation(self, before: SdfGrid) -> Tensor:
-        """(cells) by how much the change since an earlier grid of the same box differs within each cell, metres."""
+        """Compute, per cell, the largest minus the smallest change since grid `before` (same box), metres."""
         change = (self.distance_m - before.distance_m)[None, None]
         return (functional.max_pool3d(change, 2, 1) + functional.max_pool3d(-change, 2, 1))[0, 0]
 
     def of_cells(self, x: Tensor, values: Tensor) -> Tensor:
-        """(N,) float64: of values of cells, those of the cells that points (N, 3), object frame, lie in."""
+        """Return (N,) float64 the per-cell values of the cells that contain the points (N, 3), object frame."""
         cells = torch.tensor(values.shape)
         cell = ((x - self.box.lower) / (self.box.upper - self.box.lower) * cells).floor().long()
         return values[tuple(torch.minimum(cell.clamp_min(0), cells - 1).unbind(-1))].double()
 
     def worst_error(self, field: ObjectField) -> float:
-        """Largest difference from the field at places drawn near the surface, metres; infinite where one is NaN."""
+        """Measure the largest error at random points near the surface, metres; infinite if an error is NaN."""
         place = torch.rand(8 * _CHECKS, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
         x = self.box.lower + place * (self.box.upper - self.box.lower)
         guess = self.at(x)
@@ -107,17 +106,17 @@ class SdfGrid:
         return float(torch.nan_to_num(off, nan=torch.inf).max())
 
     def at(self, x_object: Tensor) -> Tensor:
-        """(..., ) float32 distances at object-frame points (..., 3), trilinear; outside that of the nearest inside."""
+        """Interpolate (..., ) float32 distances at points (..., 3), object frame, trilinear, clamped to the box."""
         place = (x_object - self.box.lower) / (self.box.upper - self.box.lower) * 2.0 - 1.0
         return _read(self.distance_m, place.flip(-1).float())
 
     def along(self, rays: Rays) -> GridReadings:
-        """What the grid knows along rays that are cut to its box."""
+        """Read the grid along rays that are clipped to its box."""
         longest = float((rays.far_m - rays.near_m).max()) if len(rays) else 0.0
         count = max(2, math.ceil(longest / SAMPLE_M) + 2)
         along = torch.arange(count, dtype=torch.float64) * SAMPLE_M
         beyond = along > (rays.far_m - rays.near_m)[:, None] + SAMPLE_M
-        # Hundreds of readings a ray: straight in the grid's own coordinates, where float32 is good to a micrometre.
+        # Hundreds of readings per ray: computed in grid coordinates, in which float32 is exact to a micrometre.
         scale = 2.0 / (self.box.upper - self.box.lower)
         start = (rays.origins + rays.near_m[:, None] * rays.directions - self.box.lower) * scale - 1.0
         start, step = (part.flip(-1).float()[:, None, :] for part in (start, rays.directions * scale))
@@ -127,9 +126,10 @@ class SdfGrid:
 
 @dataclass(frozen=True)
 class GridReadings:
-    """Distances (M, S) along M rays, every `SAMPLE_M` from near_m (M,); infinite past a ray's end.
+    """Distances (M, S) along M rays, every `SAMPLE_M` from near_m (M,); infinite beyond the end of a ray.
 
-    error_m: below this a reading may be next to surface, below its negative it surely is inside. A NaN may be either.
+    error_m: error bound. A reading below it may be at the surface, one below -error_m is surely inside; NaN may be
+    either.
     """
 
     near_m: Tensor
@@ -137,10 +137,10 @@ class GridReadings:
     error_m: float
 
     def crossings(self, slope: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Rays (m,) that plainly enter the object, where (m,) they cross, and dg/dk (m,) there.
+        """Find rays that clearly enter the object. Returns their rows (m,), ranges of crossings (m,) and dg/dk (m,).
 
-        Plainly: at the first reading below zero the distance falls by `slope` or more, and some reading is surely
-        inside. What may hide in front of a crossing is for the coverage of its ray to tell.
+        Clearly: g falls by `slope` or more at the first reading below zero, and some reading is surely inside. Another
+        crossing may hide in front of the returned one; `refinement.refine` decides that.
         """
         rows = torch.nonzero((self.distance_m < -self.error_m).any(1)).squeeze(1)
         after = (self.distance_m[rows] < 0).byte().argmax(1)
@@ -150,9 +150,10 @@ class GridReadings:
         return rows, self.near_m[rows] + (after - 1 + g0 / (g0 - g1)) * SAMPLE_M, (g1 - g0) / SAMPLE_M
 
     def samples(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Samples that the error bound leaves outside, and each ray's first one inside: rays, ranges, g.
+        """Return samples that are surely outside, and each ray's first one surely inside: rays, ranges, g.
 
-        Sparser where the surface is far, so that the spheres around them still cover what the grid knows.
+        Samples are sparser far from the surface; the spheres around them still cover all that the grid proves to be
+        free.
         """
         g, number = self.distance_m, torch.arange(self.distance_m.shape[1])
         free = g - self.error_m
@@ -168,17 +169,17 @@ class GridReadings:
         return rows, self.near_m[rows] + at * SAMPLE_M, g[rows, at].double()
 
     def clearance(self) -> Tensor:
-        """(M,) least distance along each ray, less the error bound and what may lie between two readings."""
+        """Return (M,) least distance along each ray, less the error bound and what may lie between two readings."""
         return (self.distance_m.min(1).values.double() - self.error_m - 0.5 * SAMPLE_M).clamp_min(0.0)
 
 
 def vehicle_size(vehicle: VehicleFrame) -> Tensor:
-    """(3,) float64 size of the baseline's box, metres."""
+    """Return (3,) float64 size of the baseline's box, metres."""
     return torch.as_tensor([float(side) for side in vehicle.size_m], dtype=torch.float64)
 
 
 def _read(grid: Tensor, place: Tensor) -> Tensor:
-    """(..., ) trilinear readings at places (..., 3) float32, -1 to 1 over the grid, its last axis first."""
+    """Interpolate trilinearly at positions (..., 3) float32: -1 to 1 over the grid, the grid's last axis first."""
     values = functional.grid_sample(
         grid[None, None], place.reshape(1, 1, 1, -1, 3), padding_mode="border", align_corners=True
     )
@@ -191,7 +192,7 @@ def _coarse_nodes(box: Box) -> tuple[Tensor, list[int]]:
 
 
 def _nodes(box: Box, cells: Tensor) -> Tensor:
-    """(prod(cells + 1), 3) float64 nodes of a box, object frame."""
+    """Return the (prod(cells + 1), 3) float64 nodes of a box, object frame."""
     axes = [
         torch.linspace(float(low), float(high), int(n) + 1, dtype=torch.float64)
         for low, high, n in zip(box.lower, box.upper, cells)

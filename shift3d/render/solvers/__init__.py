@@ -1,1 +1,1 @@
-"""First hits: the paper's algorithm, plain sphere tracing, linear regions, and the search that `standard` uses."""
+"""Solvers for first hits: the paper's, plain sphere tracing, linear regions, and the search that `standard` uses."""

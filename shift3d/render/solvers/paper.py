@@ -1,7 +1,6 @@
-"""The paper's renderer, kept plain: march every beam at 0.1 m, bisect 30 times.
+"""The paper's renderer in plain form: sample every beam each 0.1 m, then bisect 30 times.
 
-Slow on purpose. It is the reference that the fast renderer is compared with, and the price that its speed is
-measured against.
+It is slow on purpose: the hits and the time of the fast renderer are compared with it.
 """
 
 from __future__ import annotations
@@ -18,22 +17,20 @@ from shift3d.render.field.object_field import ObjectField
 from shift3d.render.settings import RenderSettings
 
 FARTHEST_RETURN_M = 1000.0
-"""Beyond what any LiDAR sees: a beam that is longer has no return (our choice)."""
+"""Beyond the range of every LiDAR: a longer beam has no return (our choice)."""
 
 
 def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: RenderSettings) -> FirstHits:
-    """First crossing of g = 0 on every beam that passes the 7 m sphere.
+    """Find the first crossing of g = 0 on every beam that passes the 7 m sphere.
 
     Args:
-        beams: the scene's beams.
+        beams: the scene's beams. theta: (6,) pose, scene frame.
         field: metric distance in the object frame.
-        theta: (6,) pose, scene frame.
         settings: `step_m`, `max_iterations` and `sphere_chord_only` are used.
 
-    A beam whose sensor lies inside the object has no crossing from outside: it is unresolved, and so is one whose
-    field is not finite before its crossing. A sample with g exactly 0 is outside (the paper leaves g = 0 open). A beam
-    without a return, which the paper does not have, is marched to the far side of the sphere.
-
+    Unresolved beams: the sensor is inside the object, so that no crossing from outside exists, or the field is not
+    finite before the crossing. A sample with g exactly 0 is outside (the paper leaves g = 0 open). A beam without a
+    return, which the paper does not have, is sampled up to the far side of the sphere.
     Source: SHIFT3D supplement, Rendering.
     """
     index = beams_near(beams, theta[:3].detach(), SPHERE_RADIUS_M)
@@ -57,7 +54,7 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
 
 
 def check_size(size_m: Tensor) -> None:
-    """Raises InputError: the sphere does not hold a vehicle whose box is size_m (3,); beams beside it would stay."""
+    """Raise InputError if the sphere cannot hold a box of size_m (3,): its outer beams would not be moved."""
     if float(size_m.norm()) / 2 > SPHERE_RADIUS_M:
         what = f"a vehicle of {' x '.join(f'{length:.1f}' for length in size_m.tolist())} m"
         remedy = "Take another accuracy, as standard or reference"
@@ -65,14 +62,14 @@ def check_size(size_m: Tensor) -> None:
 
 
 def _ending_at_sphere(rays: Rays) -> Rays:
-    """Rays without a return end where they leave the sphere: their rest would be 100,000 samples of nothing."""
+    """End rays without a return where they leave the sphere; the rest would be 100,000 useless samples."""
     along, half = _chord(rays)
     leaves = (along + half).squeeze(1)
     return replace(rays, far_m=torch.where(rays.far_m > FARTHEST_RETURN_M, leaves, rays.far_m))
 
 
 def _beams_at_once(rays: Rays, settings: RenderSettings) -> int:
-    """Beams whose samples fit in about a million points of memory."""
+    """Return the number of beams whose samples fit in the memory for about a million points."""
     longest = float(rays.far_m.max()) / settings.step_m
     return max(1, int(1_000_000 / max(longest, 1.0)))
 
@@ -80,7 +77,10 @@ def _beams_at_once(rays: Rays, settings: RenderSettings) -> int:
 def _first_sample_inside(
     rays: Rays, samples: Tensor, field: ObjectField, settings: RenderSettings
 ) -> tuple[Tensor, Tensor]:
-    """(M,) first j with g < 0 at k = j far / J, or -1; and whether g is not finite there or before, or anywhere."""
+    """Find, for M rays, the first j with g < 0 at k = j far / J, or -1; and the lost rays (M,) bool.
+
+    A ray is lost if g is not finite at or before that sample; for j = -1, anywhere on the ray.
+    """
     count = int(samples.max()) + 1
     j = torch.arange(count, dtype=torch.float64)
     k = j * (rays.far_m / samples)[:, None]
@@ -104,7 +104,7 @@ def _within_sphere(rays: Rays, k: Tensor, margin_m: float) -> Tensor:
 
 
 def _chord(rays: Rays) -> tuple[Tensor, Tensor]:
-    """(M, 1) where a ray is nearest to the object's centre, and half its chord of the 7 m sphere."""
+    """Return (M, 1) the range closest to the object's centre, and half the length of the chord of the 7 m sphere."""
     along = -(rays.origins * rays.directions).sum(-1, keepdim=True)
     offset = torch.linalg.cross(rays.origins, rays.directions).square().sum(-1, keepdim=True)
     return along, (SPHERE_RADIUS_M**2 - offset).clamp_min(0.0).sqrt()
@@ -113,10 +113,7 @@ def _chord(rays: Rays) -> tuple[Tensor, Tensor]:
 def _bisect(
     rays: Rays, samples: Tensor, first_inside: Tensor, field: ObjectField, settings: RenderSettings
 ) -> tuple[Tensor, Tensor]:
-    """Binary search between the first sample inside and the one before it: k and |g| there.
-
-    |g| is NaN where g was not finite on the way.
-    """
+    """Bisect between the first sample inside and the one before. Returns k and |g|, NaN if g was not always finite."""
     step = rays.far_m / samples
     outer, inner = (first_inside - 1) * step, first_inside * step
     lost = torch.zeros(len(rays), dtype=torch.bool)

@@ -1,9 +1,9 @@
 """Samples of the field along rays, measured or predicted, each with an error bound.
 
-A search leaves samples whose spheres of free space cover each ray. In the next rendering the shape has changed: a
-coarse grid of the field says by how much, roughly, and how roughly, so that most samples need no new evaluation.
+A search leaves samples whose free spheres cover each ray. For the next rendering, of a changed shape, two coarse grids
+predict the change at each sample with an error bound, so that most samples need no new evaluation.
 
-Source: our choice: the paper renders every step afresh.
+Source: our choice: the paper renders every step from scratch.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _LONGEST_M = 4096.0
 
 @dataclass(frozen=True)
 class RaySamples:
-    """S samples on M rays, by ray and range.
+    """S samples of the field on M rays.
 
     rows: (S,) their rays. k: (S,) float64 ranges. g: (S,) float64 metric distance, metres. error: (S,) float64 error
-    bound of g, metres; 0 where it was measured.
+    bound of g, metres; 0 if g was measured.
     """
 
     rows: Tensor
@@ -38,7 +38,7 @@ class RaySamples:
 
     @staticmethod
     def none() -> RaySamples:
-        """No samples."""
+        """Return an empty set of samples."""
         nothing = torch.empty(0, dtype=torch.float64)
         return RaySamples(torch.empty(0, dtype=torch.long), nothing, nothing, nothing)
 
@@ -46,28 +46,28 @@ class RaySamples:
         return len(self.rows)
 
     def select(self, chosen: Tensor) -> Self:
-        """Some of the samples, by number or mask."""
+        """Select samples by number or mask."""
         return type(self)(*take(vars(self).values(), chosen))
 
     @classmethod
     def stacked(cls, parts: Sequence[Self]) -> Self:
-        """Samples behind one another."""
+        """Concatenate samples without sorting them."""
         return cls(*(torch.cat(some) for some in zip(*(vars(part).values() for part in parts), strict=True)))
 
     def of_rays(self, chosen: Tensor) -> Self:
-        """The samples of some rays (M,) bool."""
+        """Select the samples of the chosen rays (M,) bool."""
         return self.select(chosen[self.rows])
 
     def on(self, rows: Tensor) -> Self:
-        """The samples on other rays: rows (M,) instead of 0 to M - 1."""
+        """Return the samples with the ray numbers 0 to M - 1 replaced by rows (M,)."""
         return replace(self, rows=rows[self.rows])
 
     def before(self, end_m: Tensor) -> RaySamples:
-        """The samples in front of a range (M,) of each ray."""
+        """Select the samples in front of a range (M,) of each ray."""
         return self.select(self.k < end_m[self.rows])
 
     def thinned(self, spacing_m: float) -> RaySamples:
-        """Of the samples on every stretch the lowest; a stretch is `spacing_m` long, or longer where g is."""
+        """Keep the lowest sample of every stretch; a stretch is `spacing_m` long, or longer where g is larger."""
         level = (self.g / (2 * spacing_m)).clamp_min(1.0).log2().floor()
         cell = (self.k / (spacing_m * 2.0**level)).floor()
         order = torch.argsort(self.g, stable=True)
@@ -79,7 +79,7 @@ class RaySamples:
         return kept.select(by_ray_and_range(kept.rows, kept.k))
 
     def joined(self, other: RaySamples) -> RaySamples:
-        """These samples and others, in order; where both have one at the same place, the other one."""
+        """Merge with other samples, in order; at equal positions the other sample wins."""
         both = RaySamples.stacked([self, other])
         both = both.select(by_ray_and_range(both.rows, both.k))
         kept = torch.ones(len(both), dtype=torch.bool)
@@ -89,19 +89,19 @@ class RaySamples:
     def predicted(
         self, rays: Rays, new_rays: Rays, row_of: Tensor, then: SdfGrid, now: SdfGrid, share: float
     ) -> RaySamples:
-        """The samples as they are expected in a field that has changed, on rays that may have moved.
+        """Predict the samples for a field that has changed, on rays that may have moved.
 
         Args:
-            rays: that the samples are of. new_rays: as they are now. row_of: (M,) which of the new ones each old one
-                is, -1 where it is none.
-            then, now: coarse grids of the field, over one box.
-            share: a prediction is off by up to this share of what the change varies by within a grid cell, and of a
-                sample's own way; see `RenderSettings.prediction_error`.
+            rays: rays of the samples. new_rays: rays of the new rendering. row_of: (M,) new ray of each old one, -1 if
+                none.
+            then, now: coarse grids of the old and the new field, over one box.
+            share: error bound of a prediction, as a share of the change's variation within a grid cell and of the
+                sample's own motion; see `RenderSettings.prediction_error`.
         """
         row = row_of[self.rows]
         kept = torch.nonzero(row >= 0).squeeze(1)
         old, row = self.select(kept), row[kept]
-        # The samples at the ends of a ray stay there.
+        # A sample beyond the end of its new ray moves to that end.
         k = torch.minimum(torch.maximum(old.k, new_rays.near_m[row]), new_rays.far_m[row])
         before, after = rays.at(old.k, old.rows), new_rays.at(k, row)
         moved = (after - before).norm(dim=-1)
@@ -111,5 +111,5 @@ class RaySamples:
 
 
 def by_ray_and_range(rows: Tensor, k: Tensor) -> Tensor:
-    """(S,) the order of samples by ray, and by range on each ray (to 0.1 um); equal ones keep theirs."""
+    """Return (S,) the stable order of samples by ray, and by range on each ray (to 0.1 um)."""
     return torch.argsort(rows * _LONGEST_M + k, stable=True)

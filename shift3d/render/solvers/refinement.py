@@ -1,15 +1,16 @@
-"""Adaptive interval refinement: the one rule that says whether a ray can hide a crossing.
+"""Adaptive interval refinement: the one rule that decides whether a ray can hide a crossing.
 
-No field is steeper than a slope L. Between two samples g_a and g_b that are w apart nothing can hide where
-g_a + g_b >= L w (Piyavskii 1972; the spheres around the samples cover the ray). An interval that this leaves open is
-sampled where its lower bound is least, k = middle + (g_a - g_b) / 2 L; the open intervals of all rays are sampled in
-one call, until every ray is proven free or enters the object. The rule is the same whether a sample was measured or is
-predicted (from a grid, or from an earlier rendering): a predicted one counts less its error bound, and is measured
-where that is not enough.
+Let no field be steeper than a slope L. Between two samples g_a and g_b at a distance w nothing can hide if
+g_a + g_b >= L w (Piyavskii 1972): the free spheres around the samples cover the interval. An interval that this leaves
+open is sampled where its lower bound is least, at k = middle + (g_a - g_b) / 2 L. The open intervals of all rays are
+sampled in one call, until every ray is proven free or enters the object. The rule is the same for measured and for
+predicted samples (from a grid or an earlier rendering): a predicted sample counts less its error bound, and is measured
+if that is not enough.
 
-L is `1 / step_safety`, and what the samples show where that is more. `step_m` may stay open: there, next to local
-minima and where g hardly falls, L is what the samples around show (`local_minima`). An interval that the field crosses
-at a flat angle may hold several crossings, and is halved down to `grazing_m`.
+L is `1 / step_safety`, times the steepest slope measured on the ray if that exceeds 1. A length of `step_m` may stay
+uncovered. Next to local minima and where g hardly falls that allowance does not hold; there L is taken from the nearest
+samples (`local_minima`). An interval that g crosses at a flat angle may hold several crossings, and is halved down to
+`grazing_m`.
 
 Source: our choice: sphere tracing (Hart 1996) takes one step of every ray at a time, from its start.
 """
@@ -28,14 +29,14 @@ from shift3d.render.solvers.ray_samples import RaySamples, by_ray_and_range
 
 _ROUNDS = 40
 _STEEPEST = 10.0
-# A predicted sample this near the surface is measured, and so is one below `_WATCHED_M` that is the
-# lowest around, or the lowest of its ray so many steps before its hit.
+# Predicted samples below `_LOW_M` are measured. So are those below `_WATCHED_M` that are a local minimum, or the lowest
+# of their ray up to `_WATCHED_STEPS` steps before its hit.
 _LOW_M = 0.003
 _WATCHED_M = 0.05
 _WATCHED_STEPS = 3
-# On a plain approach the mean fall to the hit is at least this share of the fall before.
+# On a clear approach the mean fall of g up to the hit is at least this share of the fall just before.
 _SLACKENS = 0.7
-# Next to a local minimum g may fall this much faster than it was seen to, and at least so fast.
+# Next to a local minimum g may fall `_STEEPER` times as fast as measured, and at least at the slope `_FLATTEST`.
 _STEEPER = 2.0
 _FLATTEST = 0.1
 _NARROW_M = 2e-4
@@ -45,7 +46,7 @@ _SAMPLE, _NEAR, _FAR, _HIT, _INSIDE = range(5)
 
 @dataclass(frozen=True)
 class Brackets:
-    """Crossings that came up on B rays: g_outer (B,) >= 0 at range outer, g_inner (B,) < 0 at range inner, metres."""
+    """Brackets of B crossings, by ray: g_outer (B,) >= 0 at range outer, g_inner (B,) < 0 at range inner, metres."""
 
     rows: Tensor
     outer: Tensor
@@ -56,10 +57,10 @@ class Brackets:
 
 @dataclass(frozen=True)
 class Refinement:
-    """What came of covering M rays.
+    """Results of refining M rays.
 
-    samples: of all of them, nothing behind a crossing. brackets: crossings that came up. undecided: (M,) bool, where
-    the field is not finite. open: (M,) bool, rays that begin inside the object, or that no refinement closed.
+    samples: of all rays, none behind a crossing. brackets: crossings that were found. undecided: (M,) bool, the field
+    is not finite. open: (M,) bool, rays that begin inside the object, or that the refinement could not close.
     """
 
     samples: RaySamples
@@ -69,12 +70,11 @@ class Refinement:
 
 
 def refine(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, settings: RenderSettings) -> Refinement:
-    """Refine intervals until rays are proven free up to their hit, or up to their end.
+    """Refine intervals until every ray is proven free up to its hit, or up to its end.
 
     Args:
-        samples: measured and predicted ones; of some rays none.
-        hit_m: (M,) float64 range of a hit that is known, NaN where none is.
-
+        samples: measured and predicted samples; a ray may have none.
+        hit_m: (M,) float64 range of a known hit, NaN if none is known.
     Not differentiable.
     """
     end_m = torch.where(torch.isnan(hit_m), torch.inf, hit_m)
@@ -110,23 +110,27 @@ def refine(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, s
 
 
 def _is_plain(width_m: Tensor, g: Tensor, lower: Tensor, fall_before: Tensor, settings: RenderSettings) -> Tensor:
-    """Whether a hit lies so far behind a place that nothing can hide in between: g falls to it at no flat angle, and
-    about as fast as before that place. Where it falls slower, the beam may cross a fold in front of the hit.
+    """Return a mask of places from which the approach to the hit is clear, so that nothing can hide in between.
 
-    width_m: to the hit. g, lower: at the place, and less its error bound. fall_before: of the interval in front.
+    On a clear approach g falls at no flat angle and about as fast as in front of the place; where g falls slower, the
+    beam may cross a fold before the hit. width_m: distance to the hit. lower: g less its error bound. fall_before: fall
+    of g per metre on the interval in front of the place.
     """
     steep = lower >= settings.approach_slope * width_m
     return (width_m <= settings.approach_m) & steep & (g >= _SLACKENS * fall_before * width_m)
 
 
 def _fall_before(rows: Tensor, k: Tensor, g: Tensor) -> Tensor:
-    """(S,) how fast g falls, a metre, on the interval in front of each sample of a ray; 0 where there is none."""
+    """Compute (S,) the fall of g per metre on the interval in front of each sample; 0 for a ray's first sample."""
     fall = (g[:-1] - g[1:]) / (k[1:] - k[:-1]).clamp_min(1e-12)
     return torch.cat((g.new_zeros(min(1, len(g))), torch.where(rows[1:] == rows[:-1], fall, 0.0)))
 
 
 def _thinned(samples: RaySamples, end_m: Tensor, settings: RenderSettings) -> RaySamples:
-    """The samples without predicted ones behind a place from which g falls plainly to the hit (M,)."""
+    """Drop predicted samples behind the start of a clear approach to the hit (M,), and those that prove nothing.
+
+    A sample proves nothing if only its error bound takes it below `_LOW_M`, unless `_watched` marked it.
+    """
     rises = (samples.g[1:] > samples.g[:-1]) & (samples.rows[1:] == samples.rows[:-1])
     rows, k = samples.rows[1:][rises], samples.k[1:][rises]
     falls_from = torch.full_like(end_m, -torch.inf).scatter_reduce(0, rows, k, "amax")
@@ -139,9 +143,9 @@ def _thinned(samples: RaySamples, end_m: Tensor, settings: RenderSettings) -> Ra
 
 
 def _watched(samples: RaySamples, until_m: Tensor) -> RaySamples:
-    """The samples with low local minima along their rays, and the lowest up to a range (M,), to be measured.
+    """Mark, to be measured, predicted samples that are low local minima or each ray's lowest up to a range (M,).
 
-    What is small changes between the nodes of a grid, and comes up where there is little room.
+    Small features change between the nodes of a coarse grid, and appear where little room is left.
     """
     same = samples.rows[1:] == samples.rows[:-1]
     inf = samples.g.new_full((1,), torch.inf)
@@ -156,7 +160,7 @@ def _watched(samples: RaySamples, until_m: Tensor) -> RaySamples:
 
 
 def _entries(nodes: _Nodes, count: int) -> tuple[Brackets, Tensor]:
-    """Brackets of the rays that end inside, and (M,) bool which of them have nothing in front of that."""
+    """Return the brackets of rays that end inside, and a mask (M,) of those without a sample outside in front."""
     at = torch.nonzero(nodes.kind == _INSIDE).squeeze(1)
     before = (at - 1).clamp_min(0)
     from_outside = (at > 0) & (nodes.rows[before] == nodes.rows[at]) & (nodes.kind[before] == _SAMPLE)
@@ -168,13 +172,13 @@ def _entries(nodes: _Nodes, count: int) -> tuple[Brackets, Tensor]:
 
 @dataclass(frozen=True)
 class _Nodes(RaySamples):
-    """Samples and the ends of rays, by ray and range, and (K,) what each is."""
+    """Samples and end points of rays, ordered by ray and range; kind: (K,) type of each node."""
 
     kind: Tensor
 
     @staticmethod
     def of(samples: RaySamples, rays: Rays, hit_m: Tensor) -> _Nodes:
-        """The samples, and where rays begin and end."""
+        """Build nodes from the samples and from the starts and ends of the rays."""
         every, is_hit = torch.arange(len(rays)), torch.isfinite(hit_m)
         end_m, kind = torch.where(is_hit, hit_m, rays.far_m), torch.where(is_hit, _HIT, _FAR)
         inner = _Nodes(**vars(samples), kind=torch.full_like(samples.rows, _SAMPLE))
@@ -183,16 +187,16 @@ class _Nodes(RaySamples):
 
     @staticmethod
     def empty(rows: Tensor, k: Tensor, kind: Tensor) -> _Nodes:
-        """No nodes."""
+        """Return nodes without a value: g and error are 0."""
         return _Nodes(rows, k, torch.zeros_like(k), torch.zeros_like(k), kind)
 
     def with_nodes(self, other: _Nodes) -> _Nodes:
-        """These nodes and others, in order: the end of a ray behind a sample at that very place."""
+        """Merge with other nodes, in order; the end of a ray comes behind a sample at the same range."""
         both = _Nodes.stacked([self, other])
         return both.select(by_ray_and_range(both.rows, torch.where(both.kind == _FAR, both.k + _BEHIND_M, both.k)))
 
     def wanted(self, count: int, settings: RenderSettings) -> tuple[Tensor, _Nodes]:
-        """(K,) which nodes must be measured, and the places to sample. A NaN covers nothing."""
+        """Return a mask (K,) of the nodes to measure, and the places to sample. A NaN covers nothing."""
         sample = self.kind == _SAMPLE
         predicted = sample & (self.error > 0)
         lower = self._certain(self.error, settings.max_step_m)
@@ -201,18 +205,18 @@ class _Nodes(RaySamples):
         fall = (self.g[:-1] - self.g[1:]) / width.clamp_min(1e-12)
         slope = self._steepness(fall, count) / settings.step_safety
         between = width - (lower[:-1] + lower[1:]) / slope
-        # The return itself is a sample, as the paper has it.
+        # In front of the return nothing may stay uncovered: the return itself is a sample, as in the paper.
         is_open = ~(between <= torch.where(right == _FAR, 0.0, settings.step_m))
         before = torch.where(sample[:-1], _fall_before(self.rows, self.k, torch.where(sample, self.g, 0.0))[:-1], 0.0)
         is_open &= ~((right == _HIT) & _is_plain(width, self.g[:-1], lower[:-1], before, settings))
         if settings.local_minima:
-            # Where the rule holds but for `step_m`, a local slope decides.
+            # For an interval that is closed only by the allowance `step_m`, a local slope decides.
             local = self._local_slope(fall)
             narrow = ~is_open & (lower[:-1] + lower[1:] < local * width) & (width > _NARROW_M) & (right == _SAMPLE)
             slope, is_open = torch.where(narrow, local, slope), is_open | narrow
             flat = (right == _INSIDE) & (fall < settings.approach_slope) & (width > settings.grazing_m)
             is_open |= flat
-        # What comes before a place inside must be known to be outside.
+        # The node in front of a node inside must be measured to be outside.
         is_open |= (right == _INSIDE) & (predicted[:-1] | (left == _NEAR))
         is_open &= (self.rows[1:] == self.rows[:-1]) & (width > 0)
         measured = predicted & ~(self.g - self.error > _LOW_M)
@@ -223,7 +227,7 @@ class _Nodes(RaySamples):
         ends |= is_open & (right == _INSIDE)
         measured[:-1] |= ends & predicted[:-1]
         measured[1:] |= ends & predicted[1:]
-        # Behind the first place that is expected to be inside nothing may be seen: that one is asked first.
+        # Nodes behind the first node that is predicted inside are probably hidden: measure that node first.
         inside = predicted & (self.g < 0)
         first = torch.full((count,), torch.inf, dtype=torch.float64)
         behind = self.k > first.scatter_reduce(0, self.rows[inside], self.k[inside], "amin")[self.rows]
@@ -232,7 +236,7 @@ class _Nodes(RaySamples):
         return measured, self._places(at, slope, lower)
 
     def _steepness(self, fall: Tensor, count: int) -> Tensor:
-        """(K - 1,) how much steeper than a distance g was measured to be anywhere on the ray of each interval."""
+        """Return, per interval (K - 1,), the steepest slope measured on its ray, from 1 to `_STEEPEST`."""
         known = (self.error == 0) & ((self.kind == _SAMPLE) | (self.kind == _INSIDE))
         both = known[:-1] & known[1:] & (self.rows[1:] == self.rows[:-1])
         steepest = torch.ones(count, dtype=torch.float64)
@@ -240,11 +244,11 @@ class _Nodes(RaySamples):
         return steepest.clamp_max(_STEEPEST)[self.rows[:-1]]
 
     def _local_slope(self, fall: Tensor) -> Tensor:
-        """(K - 1,) the slope that intervals between samples may have: by their neighbours' next to a local minimum."""
+        """Return, per interval (K - 1,), a bound on its slope; next to a local minimum from the adjacent intervals."""
         joined = (self.kind[:-1] == _SAMPLE) & (self.kind[1:] == _SAMPLE) & (self.rows[1:] == self.rows[:-1])
         s = torch.where(joined, fall, torch.nan)
         nothing = s.new_full((1,), torch.nan)
-        before, after = torch.cat((nothing, s)), torch.cat((s, nothing))  # of the intervals before and after a node
+        before, after = torch.cat((nothing, s)), torch.cat((s, nothing))  # slopes before and after each node
         ends = torch.zeros_like(before, dtype=torch.bool)
         ends[:-1] = (self.kind[1:] == _FAR) & (self.rows[1:] == self.rows[:-1])
         lowest = (before >= 0) & ((after <= 0) | ends) & (self.kind == _SAMPLE)
@@ -253,15 +257,13 @@ class _Nodes(RaySamples):
         return torch.where(joined, torch.maximum(steep[:-1], steep[1:]), 0.0)
 
     def _certain(self, error: Tensor, most_m: float) -> Tensor:
-        """(K,) how much of |g| is certain where it may be off by `error` (K,), metres; 0 at the ends of rays.
-
-        most_m: no more counts, as a learned field says little about far distances.
-        """
+        """Return (K,) the certain part of |g| for error bounds (K,), metres, at most most_m; 0 at the ends of rays."""
+        # most_m, because a learned field says little about far distances.
         certain = torch.where(self.kind == _SAMPLE, self.g - error, 0.0).clamp(0.0, most_m)
         return torch.where(self.kind == _INSIDE, self.g.abs().clamp_max(most_m), certain)
 
     def _places(self, at: Tensor, slope: Tensor, lower: Tensor) -> _Nodes:
-        """Where intervals (their left nodes) are sampled: at the least lower bound, or at an end of a ray."""
+        """Choose where to sample intervals (left nodes `at`): at the least lower bound, or at an end of the ray."""
         k, other = self.k[at], self.k[at + 1]
         share = 0.5 + 0.5 * (lower[at] - lower[at + 1]) / (slope[at] * (other - k)).clamp_min(1e-12)
         place = k + share.clamp(0.05, 0.95) * (other - k)
@@ -271,14 +273,14 @@ class _Nodes(RaySamples):
         return replace(_Nodes.empty(self.rows[at], place, torch.full_like(at, _SAMPLE)), g=expected)
 
     def with_measured(self, at: Tensor, g: Tensor, count: int) -> _Nodes:
-        """With values measured at some nodes. What is lower than was predicted lowers the predictions of its ray."""
+        """Set measured values g at nodes `at`. A value below its prediction lowers its ray's predictions as much."""
         off = torch.zeros(count, dtype=torch.float64)
         off = off.scatter_reduce(0, self.rows[at], (g - self.g[at]).nan_to_num(nan=0.0), "amin")
         lower = torch.where((self.error > 0) & (self.kind == _SAMPLE), self.g + off[self.rows], self.g)
         return replace(self, g=lower.index_copy(0, at, g), error=self.error.index_fill(0, at, 0.0))
 
     def up_to_first_inside(self, count: int) -> _Nodes:
-        """Every ray up to its first measured sample inside, which becomes its end."""
+        """Cut every ray at its first measured sample inside, which becomes its end."""
         inside = (self.kind == _SAMPLE) & (self.error == 0) & (self.g < 0) | (self.kind == _INSIDE)
         first = torch.full((count,), torch.inf, dtype=torch.float64)
         first = first.scatter_reduce(0, self.rows[inside], self.k[inside], "amin")[self.rows]

@@ -1,14 +1,13 @@
-"""The default solver: predict, correct, refine. Cold, with a grid of the field, and warm it is the same.
+"""Default solver: predict, correct, refine. The steps are the same for a cold start, for a grid, and for a warm start.
 
-1. Predict samples and hits along every ray: from an SDF grid of this very field; from an earlier rendering, its
-   linearizations at the hits and two coarse grids that say how the field has changed; or, where nothing is known, from
-   sphere tracing.
+1. Predict samples and hits along every ray from an SDF grid of this very field; or from an earlier rendering, with its
+linearizations at the hits and two coarse grids that tell the field's change; or else by sphere tracing.
 2. Correct the predicted hits by secant or Newton steps.
-3. Cover every ray up to its hit or its end (`refinement`). Crossings that come up are solved for their roots.
+3. Cover every ray up to its hit or its end (`refinement`), and solve the crossings that are found for their roots.
 
-Where the field is a decoder's, hidden units that are off everywhere in the box are left out (`ObjectField.sliced`).
+Hidden units of a decoder that are off everywhere in the box are left out (`ObjectField.sliced`).
 
-Source: our choice: the paper renders every step afresh. What this misses is measured against `reference`.
+Source: our choice: the paper renders every step from scratch. Errors of this solver are measured against `reference`.
 """
 
 from __future__ import annotations
@@ -36,26 +35,26 @@ _STILL_M = 0.05
 _MOTION_REACH_M = 0.3
 _GRID_REACH_M = 0.15
 _FALL = -0.5
-"""dg/dk at a hit of which nothing else is known."""
+"""Assumed dg/dk at a hit without further knowledge."""
 _SURVEYED = 8
-"""Of so many predicted hits of a warm rendering one is evaluated with every hidden unit."""
+"""A warm rendering evaluates one in _SURVEYED predicted hits with every hidden unit."""
 
 
 @dataclass(frozen=True)
 class WarmStart:
-    """What a rendering knows about its beams.
+    """State of a rendering from which the next one can start.
 
     Attributes:
-        beams: the scene's beams. theta: (6,) pose it was rendered at.
-        box: verified box of the object, object frame; None where a grid stood for it.
+        beams: the scene's beams. theta: (6,) pose of the rendering.
+        box: verified box of the object, object frame; None if a grid's box was used instead.
         rays: (M) beams through the box.
-        range_m: (M,) float64 distance of the hit, NaN where none. residual_m: (M,) |metric g| there.
-        samples: in front of the hits, and all along the beams that met nothing.
-        grid: coarse, of the field. live: hidden units that were on; None: all are evaluated.
+        range_m: (M,) float64 range of the hit, NaN if none. residual_m: (M,) |metric g| at the hit.
+        samples: in front of the hits, and along the whole of rays without a hit.
+        grid: coarse grid of the field. live: hidden units that were on; None: all are evaluated.
         undecided: (M,) bool, rays that cannot be decided.
-        age: warm renderings since everything was searched.
-        linearization: of the field at the hits; while a rendering is being made, at those hits for which the search
-            has made it. None where no gradient was asked for.
+        age: number of warm renderings since the last full search.
+        linearization: of the field at the hits; during a rendering only at the hits for which the search has made it.
+            None if no gradient was wanted.
     """
 
     beams: Beams
@@ -75,13 +74,13 @@ class WarmStart:
     def of(
         beams: Beams, theta: Tensor, rays: Rays, grid: SdfGrid, box: VerifiedBox | None, settings: RenderSettings
     ) -> WarmStart:
-        """Nothing known of any ray."""
+        """Create the state in which nothing is known of any ray."""
         nan, live = torch.full_like(rays.near_m, torch.nan), grid.live if settings.live_units else None
         theta, undecided = theta.detach().clone(), torch.zeros(len(rays), dtype=torch.bool)
         return WarmStart(beams, theta, box, rays, nan, nan, RaySamples.none(), grid, live, undecided)
 
     def with_hits(self, rows: Tensor, range_m: Tensor, residual_m: Tensor) -> WarmStart:
-        """With what was found on some rays."""
+        """Return a copy with new hits on the given rays."""
         range_m, residual_m = self.range_m.index_copy(0, rows, range_m), self.residual_m.index_copy(0, rows, residual_m)
         return replace(self, range_m=range_m, residual_m=residual_m)
 
@@ -95,12 +94,11 @@ def first_hits(
     warm: WarmStart | None = None,
     grid: SdfGrid | None = None,
 ) -> tuple[FirstHits, WarmStart]:
-    """First crossing of g = 0 on every beam through the verified box, and what the next rendering may start from.
+    """Find the first crossing of g = 0 on every beam through the verified box. Also returns the next warm start.
 
     Args:
         field: metric distance in the object frame. size_m: (3,) size of the baseline's box.
-        warm: of an earlier rendering, where it may be used. grid: of this very field; it is preferred.
-
+        warm: state of an earlier rendering, if it may be used. grid: of this very field; preferred to `warm`.
     Not differentiable.
     """
     state = None
@@ -119,7 +117,7 @@ def first_hits(
 
 
 def _from_grid(beams: Beams, field: ObjectField, theta: Tensor, settings: RenderSettings, grid: SdfGrid) -> WarmStart:
-    """The crossings that a grid shows plainly, corrected, and its samples."""
+    """Start from a grid: correct the crossings that it shows clearly, and take its samples."""
     rays = rays_in_box(beams, theta, grid.box)
     state, readings = WarmStart.of(beams, theta, rays, grid.coarsened(), None, settings), grid.along(rays)
     rows, guess_m, slope = readings.crossings(settings.approach_slope)
@@ -132,8 +130,10 @@ def _from_grid(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
 def _from_earlier(
     beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, settings: RenderSettings, before: WarmStart
 ) -> WarmStart | None:
-    """Hits and samples of an earlier rendering as they are expected here, the hits corrected; None where that one says
-    too little: it is of other beams or hit nothing, pose or field have moved too far, or the object has left its box.
+    """Start from an earlier rendering: predict its hits and samples, and correct the hits.
+
+    Returns None if the earlier rendering says too little: it has other beams or no hit, the pose or the field has
+    changed too much, or the object has left its box.
     """
     if before.age >= settings.warm_refresh or not beams.same_as(before.beams):
         return None
@@ -141,7 +141,7 @@ def _from_earlier(
     motion = (theta.detach() - before.theta).double().abs()
     if float(motion[:3].norm() + motion[3:].sum() * box.box.radius_m) > _STILL_M or box.box != before.grid.box:
         return None
-    # A shape that keeps standing on the ground changes its height a little.
+    # The pose may differ: an attack that keeps a shape on the ground changes its height a little.
     rays = rays_in_box(beams, theta, box.box)
     row_of, hits = rows_of(before.rays.index, rays.index), before.linearization
     if hits is not None:
@@ -157,7 +157,7 @@ def _from_earlier(
     hit = rays.select(rows)
     grid = SdfGrid.coarse(field, box.box, hit.at(guess_m)[::_SURVEYED])
     if len(rows) == 0 or float(grid.variation(before.grid).max()) > settings.warm_change_m:
-        return None  # without a hit nothing can tell how far the surface has moved
+        return None  # without a hit the motion of the surface is unknown
     live = either(before.live, grid.live if settings.live_units else None)
     found = correct(hit, guess_m, slope, field.sliced(live), settings, _MOTION_REACH_M)
     moved_m = float(torch.nan_to_num((change + found.g_start).abs(), nan=torch.inf).max())
@@ -170,10 +170,7 @@ def _from_earlier(
 
 
 def _searched(state: WarmStart, field: ObjectField, settings: RenderSettings) -> WarmStart:
-    """Trace the rays of which nothing is known, refine every ray, and solve its crossings.
-
-    Rays that stay open, as they begin inside, are traced and refined once more.
-    """
+    """Trace the rays of which nothing is known, refine every ray, solve crossings; repeat once for rays left open."""
     unknown = torch.isnan(state.range_m)
     unknown[state.samples.rows] = False
     state, left = _refined(_traced(state, unknown, field, settings), torch.ones_like(unknown), field, settings)
@@ -181,15 +178,15 @@ def _searched(state: WarmStart, field: ObjectField, settings: RenderSettings) ->
         state, left = _refined(_traced(state, left, field, settings), left, field, settings)
     undecided = state.undecided | left
     range_m = torch.where(undecided, torch.nan, state.range_m)
-    # What lies closer together tells a later rendering little more.
+    # Denser samples would tell a later rendering little more.
     samples = state.samples.before(range_m.nan_to_num(nan=torch.inf)).thinned(settings.step_m / 2)
     return replace(state, range_m=range_m, samples=samples, undecided=undecided)
 
 
 def _surveyed(state: WarmStart, field: ObjectField, settings: RenderSettings) -> WarmStart:
-    """The hits of a first search, corrected until no unit that was left out is on at one of them.
+    """Correct the hits of a first search until no hidden unit that was left out is on at a hit.
 
-    A hit whose root the corrector does not reach is searched again on its ray, with those units.
+    A hit whose root the corrector does not reach is searched again on its ray, with the added units.
     """
     while state.live is not None and state.age == 0:
         hit = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
@@ -208,7 +205,7 @@ def _surveyed(state: WarmStart, field: ObjectField, settings: RenderSettings) ->
 
 
 def _traced(state: WarmStart, chosen: Tensor, field: ObjectField, settings: RenderSettings) -> WarmStart:
-    """Trace some rays (M,) bool afresh."""
+    """Trace the chosen rays (M,) bool from scratch."""
     rows = torch.nonzero(chosen).squeeze(1)
     if len(rows) == 0:
         return state
@@ -225,7 +222,7 @@ def _traced(state: WarmStart, chosen: Tensor, field: ObjectField, settings: Rend
 def _refined(
     state: WarmStart, chosen: Tensor, field: ObjectField, settings: RenderSettings
 ) -> tuple[WarmStart, Tensor]:
-    """Cover some rays (M,) bool and solve their crossings. (M,) bool: which are left open."""
+    """Refine the chosen rays (M,) bool and solve their crossings. Also returns (M,) bool, the rays left open."""
     chosen = chosen & ~state.undecided
     rows = torch.nonzero(chosen).squeeze(1)
     number, rays = rows_of(torch.arange(len(chosen)), rows), state.rays.select(rows)

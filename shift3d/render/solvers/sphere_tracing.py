@@ -1,9 +1,8 @@
-"""Sphere tracing (Hart 1996): along a ray no crossing lies nearer than the field's own distance.
+"""Sphere tracing (Hart 1996): along a ray no crossing is nearer than the field's own distance.
 
-`first_hits` is the plain form, kept readable: a step is a share of g, at least `step_m`, until g < 0; then a root in
-the last step. The solver `plain_sphere_tracing` is that and nothing else. `trace` is the first pass of the default
-solver over rays of which nothing is known: it steps as far as the spheres at both ends of a step reach, and leaves to
-`refinement.refine` what they do not.
+`first_hits` is the plain form, the solver `plain_sphere_tracing`: a step is a share of g, at least `step_m`, until
+g < 0; then a root is solved in the last step. `trace` is the default solver's first pass over rays of which nothing is
+known. Its steps are as long as the spheres at both their ends probably reach; `refinement.refine` closes the rest.
 """
 
 from __future__ import annotations
@@ -24,18 +23,17 @@ from shift3d.render.solvers.roots import find_roots
 _BACK_STEP_M = 0.1
 _BOLDNESS = 0.95
 _STEEPEST = 10.0
-# A decoder takes as long for one point as for thirty: what is left at the end is refined in parallel by `refine`.
+# A decoder takes as long for one point as for thirty: `refine` samples the last few rays in parallel.
 _FEW = 32
 
 
 def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, settings: RenderSettings) -> FirstHits:
-    """First crossings by plain sphere tracing: the simple reference of the default solver.
+    """Find first crossings by plain sphere tracing: the simple reference of the default solver.
 
     Args:
         field: metric distance in the object frame. size_m: (3,) size of the baseline's box.
         settings: `step_m`, `step_safety`, `tolerance_m`, `max_iterations` and `box_margin_m` are used.
-
-    Not differentiable. Source: Hart 1996; the least step is the paper's march.
+    Not differentiable. Source: Hart 1996; the least step is the paper's sampling.
     """
     rays = rays_in_box(beams, theta, verified_box(field, size_m, settings.box_margin_m).box)
     rays, g, undecided = outside(rays, field)
@@ -64,9 +62,9 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
 
 
 def outside(rays: Rays, field: ObjectField) -> tuple[Rays, Tensor, Tensor]:
-    """The rays as they start outside the object, g (M,) there, and (M,) bool where there is no such place.
+    """Extend rays that start inside the object back towards their sensor until they start outside.
 
-    A ray that starts inside goes back towards its sensor; a sensor inside the object sees nothing of its outside.
+    Returns the rays, g (M,) at their starts, and (M,) bool, rays without a start outside: a sensor inside the object.
     """
     k = rays.near_m.clone()
     g = field.estimate(rays.at(k)).double()
@@ -80,7 +78,7 @@ def outside(rays: Rays, field: ObjectField) -> tuple[Rays, Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class Traced:
-    """Samples of M rays, each up to its first place inside; near_m (M,) where they start; undecided (M,) bool."""
+    """Samples of M rays, each up to its first place inside; near_m (M,): starts of the rays; undecided (M,) bool."""
 
     samples: RaySamples
     near_m: Tensor
@@ -88,10 +86,11 @@ class Traced:
 
 
 def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> Traced:
-    """Samples along rays of which nothing is known. What lies between them is not proven free yet.
+    """Sample rays of which nothing is known. The intervals between the samples are not proven free.
 
-    A beam along a panel keeps its distance, and the far end of a step covers as much of it as the near end does: if g
-    stays as its slope says, twice the length is free. Source: Keinert et al. 2014, over-relaxation.
+    A beam along a panel keeps its distance from the panel, and the sphere at the far end of a step covers as much of
+    the step as the sphere at its near end: if g continues at its slope, twice the length is free. Source: Keinert et
+    al. 2014, over-relaxation.
     """
     rays, g, undecided = outside(rays, field)
     k, slope = rays.near_m.clone(), torch.full_like(g, -1.0)

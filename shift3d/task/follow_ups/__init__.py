@@ -1,1 +1,1 @@
-"""What is done with a finished sweep's solutions."""
+"""Follow-ups: processing of a finished sweep's solutions."""

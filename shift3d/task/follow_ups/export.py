@@ -1,4 +1,4 @@
-"""A solution turned back into things: the edited scene, the vehicle's mesh, its box, and which points moved."""
+"""Export of a solution: the edited scene, the vehicle's mesh, its bounding box, and the mask of moved points."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _KITTI = "kitti"
 
 
 def check_no_export(folder: Path) -> None:
-    """Raise InputError where an export would replace files of the folder."""
+    """Raise InputError if an export would replace files of the folder."""
     taken = [name for name in (*_FILES, _KITTI) if (folder / name).exists()]
     if taken:
         what = f"{taken[0]} is there already, and an export would replace it"
@@ -47,22 +47,19 @@ def check_no_export(folder: Path) -> None:
 
 
 def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, folder: Path) -> list[Path]:
-    """Render one row of ``solutions.parquet`` again and write what it is.
+    """Render one row of ``solutions.parquet`` again and write the export files.
 
     Args:
-        spec: the row's task. assets: that the task ran with.
+        spec: the row's task. assets: those of the task's run.
         solution: latent_code (256,), the six pose columns, method, replicate.
-        folder: made if absent; each file is written whole or not at all.
-
+        folder: created if absent; each file is written whole or not at all.
     Returns: The files. ``scene.bin`` (KITTI: float32 x, y, z, reflectance; sensor frame; the scene's point order;
-    reflectance 0 where the scene has none) and ``scene.ply`` (the same points, the vehicle's coloured),
-    ``hit_mask.npy`` (bool, True where a point was moved onto the object), ``object.ply`` (metres, sensor frame) and
-    ``object.glb`` (the vehicle's own frame in glTF's axes, y up and z forward), ``box.json`` (sensor frame, geometric
-    centre: ``own_box`` of the mesh; ``box``, of the unchanged vehicle's size, which the attack and the scores look at),
-    ``boxes.json`` (of everything in the scene, the object's own box last), and ``kitti/training/...``, the edited
-    scene as a frame of a KITTI folder. Points that effects made vanish are left out; returns of beams that had none
-    follow the scene's points.
-
+    reflectance 0 if the scene has none) and ``scene.ply`` (the same points, the vehicle's coloured), ``hit_mask.npy``
+    (bool, True for points moved onto the object), ``object.ply`` (metres, sensor frame) and ``object.glb`` (the
+    vehicle's own frame in glTF's axes, y up and z forward), ``box.json`` (sensor frame, geometric centre: ``own_box``
+    is the mesh's; ``box``, used by the attack and the scores, has the unchanged vehicle's size), ``boxes.json`` (all
+    objects in the scene, the object's own box last), and ``kitti/training/...``, the edited scene as a frame of a KITTI
+    folder. Points that effects removed are left out; returns on beams that had no return follow the scene's points.
     Raises: InputError: a scene or vehicle that cannot be loaded, or a folder that cannot be written.
     Source: design section 5.
     """
@@ -95,7 +92,7 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
 
 
 def _reflectance(scene: Scene, rendering: Rendering, kept: slice | NDArray[np.bool_]) -> NDArray[np.float32] | None:
-    """Of every point that is written: as effects left it, else the scene's; 0 for beams that had no return."""
+    """Return the reflectance of every written point: from effects, else the scene's; 0 for beams without a return."""
     if rendering.reflectance is not None:
         return rendering.reflectance.numpy()[kept].astype(np.float32)
     if scene.reflectance is None:
@@ -111,27 +108,27 @@ def _coloured(points: NDArray[np.float32], hits: NDArray[np.bool_]) -> trimesh.P
 
 
 def _in_gltf_axes(mesh: trimesh.Trimesh, theta: torch.Tensor) -> trimesh.Trimesh:
-    """A mesh in the sensor frame turned back into the vehicle's own, with y up and z forward."""
+    """Transform a mesh from the sensor frame to the vehicle's own frame, with y up and z forward."""
     vertices = object_from_scene(torch.from_numpy(np.array(mesh.vertices)), theta).numpy()
-    # A cyclic change of axes: no reflection, so faces keep their side.
+    # A cyclic permutation of the axes is no reflection, so faces keep their orientation.
     return trimesh.Trimesh(vertices[:, [1, 2, 0]], mesh.faces, process=False)
 
 
 def _mesh_box(mesh: trimesh.Trimesh, theta: torch.Tensor) -> NDArray[np.float64]:
-    """(7,) the box of a mesh in the object frame, in the sensor frame: for a label, which has no pitch and roll."""
+    """Return (7,) the object-frame box of a mesh, in the sensor frame: a label, which has no pitch and roll."""
     low, high = np.asarray(mesh.bounds, dtype=np.float64)
     centre = scene_from_object(torch.from_numpy((low + high)[None] / 2.0), theta).numpy()[0]
     return np.array([*centre, *(high - low), float(theta[3])])
 
 
 def _named(box: NDArray[np.float64]) -> dict[str, float]:
-    """A box's values by name. A pose's heading goes from 0 up and is searched without bounds: it is wrapped."""
+    """Return a box's values by name. The heading is wrapped, because a pose's heading is not bounded in a search."""
     x, y, z, dx, dy, dz, heading = map(float, box)
     return dict(zip(_BOX, (x, y, z, dx, dy, dz, math.remainder(heading, 2.0 * math.pi)), strict=True))
 
 
 def _boxes_json(boxes: NDArray[np.float64], classes: list[str], ground_z_m: float) -> bytes:
-    """Every labelled object and, last, the inserted one."""
+    """Write every labelled object and, last, the inserted one."""
     rows = [{"class": kind, "box": _named(box), "inserted": False} for kind, box in zip(classes, boxes, strict=True)]
     rows[-1]["inserted"] = True
     what = {"frame": "lidar", "ground_z_m": float(ground_z_m), "units": _UNITS, "objects": rows}

@@ -1,4 +1,4 @@
-"""A task's meshes measured: the baseline's, and that of the adversarial shape."""
+"""Mesh measures of a task: of the baseline's mesh and of the adversarial shape's mesh."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.mesh_measures import measure_mesh
 
 RESOLUTION = 97
-"""Nodes along the unit sphere's cube of the meshes: 5 cm apart on a car, which gives lengths to a centimetre."""
+"""Nodes along the unit sphere's cube for the meshes: 5 cm apart on a car; lengths are exact to a centimetre."""
 
 
 def patterns_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
-    """Measure the two meshes of a task that searched a shape; nothing for a pose task. A code without a surface has no
-    measures.
+    """Measure the baseline's and the adversarial mesh of a task; a pose task gives no rows.
 
-    Raises: InputError: tables or a vehicle that cannot be loaded or are not those of the sweep.
+    A code without a surface has no measures.
+    Raises: InputError: tables or a vehicle that cannot be loaded, or that are not those of the sweep.
     Source: our choice of measures; SHIFT3D names such patterns by eye (fig:z_figures).
     """
     start = time.perf_counter()

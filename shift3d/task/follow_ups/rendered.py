@@ -1,4 +1,4 @@
-"""A row of ``solutions.parquet`` rendered again into its own scene."""
+"""Re-rendering of a row of ``solutions.parquet`` in its own scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from shift3d.task.spec import TaskSpec
 
 @dataclass(frozen=True)
 class RenderedSolution:
-    """code: (d,), dtype of the renderer. theta: (6,) float64."""
+    """A solution with its rendering. code: (d,), dtype of the renderer. theta: (6,) float64."""
 
     problem: AttackProblem
     code: Tensor
@@ -29,10 +29,10 @@ class RenderedSolution:
 
 
 def render_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets) -> RenderedSolution:
-    """Render a solution as its task did, afresh and without a gradient: the same points.
+    """Render a solution from scratch and without a gradient: the same points as in its task.
 
-    solution: latent_code (d,) and the six columns of its pose. assets: that the task ran with.
-    Raises: InputError for a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+    solution: latent_code (d,) and the six columns of its pose. assets: those of the task's run.
+    Raises: InputError for a scene or vehicle that cannot be loaded, or that differs from the plan.
     """
     theta = torch.tensor([solution[name] for name in POSE_COLUMNS], dtype=torch.float64)
     drawn = assets.drawn_vehicle(spec, solution)

@@ -1,4 +1,4 @@
-"""One object scored again: as the sweep did, at reference accuracy, under noise, and a little off its pose."""
+"""Rescoring of one object: as in the sweep, at reference accuracy, with noise, and near its pose."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
 
 RANGE_NOISE_M = 0.02
-"""Standard deviation of the noise that beams on the object are given: the figure of common spinning sensors."""
+"""Standard deviation of the noise on beams that hit the object: the figure of common spinning sensors."""
 NEARBY_SIGMA = (0.01, 0.01, 0.0017453292519943296)
-"""Standard deviations of x and y (1 cm) and yaw (0.1 degrees): how well a scene's pose is known at best."""
+"""Standard deviations of x and y (1 cm) and yaw (0.1 degrees): the best accuracy of a scene's pose."""
 DRAWS = 2
-"""Draws of noise, and of nearby poses."""
+"""Number of draws of noise, and of nearby poses."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """One row of ``solutions.parquet``, and what it was scored.
+    """One row of ``solutions.parquet`` with its scores.
 
-    code: (d,) float32. theta: (6,) float64. scores: by the detector's name, as the sweep reported them. vehicle: whose
-    frame the code is drawn in; None: the task's own.
+    code: (d,) float32. theta: (6,) float64. scores: by the detector's name, as the sweep reported them. vehicle:
+    vehicle whose object frame renders the code; None: the task's vehicle.
     """
 
     method: str
@@ -48,7 +48,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Verified:
-    """What one object came to. Scores by the detector's name; of draws, in their order."""
+    """Verification results of one object. Scores are by the detector's name, and per draw for `noise` and `nearby`."""
 
     again: dict[str, float]
     reference: dict[str, float]
@@ -62,7 +62,7 @@ class Verified:
 
 @dataclass(frozen=True)
 class Problems:
-    """One scene before the detectors, at the sweep's accuracy and at that of the reference."""
+    """Problems of one scene at the sweep's accuracy and at reference accuracy, with the other detectors."""
 
     standard: AttackProblem
     reference: AttackProblem
@@ -72,9 +72,9 @@ class Problems:
 
     @staticmethod
     def of(spec: TaskSpec, assets: Assets, solution: Solution) -> Problems:
-        """The task's problems, the vehicle of a solution at its pose.
+        """Build the task's problems, with a solution's vehicle at its pose.
 
-        Raises: InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+        Raises: InputError: a scene or vehicle that cannot be loaded, or that differs from the plan.
         """
         settings = accuracy_settings(AccuracyConfig(name="reference", render={}))
         reference = dataclasses.replace(spec, accuracy="reference", accuracy_settings=settings)
@@ -85,8 +85,7 @@ class Problems:
 
 
 def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Verified:
-    """Render and score one object again, in every way. Draws depend on the placement alone: a baseline and what was
-    made of it get the same ones."""
+    """Render and score one object in all four ways; a baseline and its solution get the same draws, by placement."""
     spent: dict[str, float] = {}
     radius_m = spec.attack.detection_radius_m
     nearby = problems.nearby if solution.method in SCORED_NEARBY else None
@@ -135,10 +134,10 @@ def _scores(scored: Scored) -> dict[str, float]:
 
 
 def _noisy_points(spec: TaskSpec, problem: AttackProblem, rendering: Rendering) -> Iterator[Tensor]:
-    """The scene with fresh noise along the beams on the object; the rest of it has its sensor's noise already."""
+    """Yield scenes with new noise along the beams on the object; all other points already have sensor noise."""
     directions, hit = problem.cast_beams.directions, rendering.hit_mask
     for draw in range(DRAWS):
-        # For every beam of the scene, so that a beam gets the same noise on whatever object it meets.
+        # Drawn for every beam of the scene, so that a beam's noise does not depend on the object that it hits.
         drawn = generator("verify noise", spec.placement_seed, draw).standard_normal(len(hit))
         noise = RANGE_NOISE_M * torch.from_numpy(drawn)[hit]
         points = rendering.points.clone()
@@ -147,7 +146,7 @@ def _noisy_points(spec: TaskSpec, problem: AttackProblem, rendering: Rendering) 
 
 
 def _nearby(spec: TaskSpec, theta: Tensor) -> Iterator[Tensor]:
-    """Poses a little off; on the ground as before."""
+    """Yield poses near theta, at the same height."""
     for draw in range(DRAWS):
         offset = generator("verify nearby", spec.placement_seed, draw).standard_normal(3) * NEARBY_SIGMA
         moved = theta.clone()

@@ -1,4 +1,4 @@
-"""The natural kin of a solution: the nearest vehicle of a pool, and others seen alike, scored in its place."""
+"""Retrieval: the vehicle of a pool nearest to a solution, and control vehicles, scored in the solution's place."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec
 
 CONTROLS = 3
-"""Vehicles that are scored beside the retrieved one."""
+"""Number of control vehicles scored beside the retrieved vehicle."""
 
 
 @dataclass(frozen=True)
 class RetrievalAssets:
-    """What a worker holds: the sweep's assets and solutions, and the pool."""
+    """Assets of a worker: the sweep's assets and solutions, and the pool."""
 
     held: VerifyAssets
     pool: Pool
 
 
 def load_retrieval_assets(spec: AssetsSpec) -> RetrievalAssets:
-    """Load what the tasks share; the pool lies among the sweep's final tables.
+    """Load the shared assets of the tasks; the pool is one of the sweep's final tables.
 
     Raises: InputError as `load_assets`, and for a pool that is missing, damaged or empty.
     """
@@ -43,10 +43,10 @@ def load_retrieval_assets(spec: AssetsSpec) -> RetrievalAssets:
 
 
 def retrieval_task(spec: TaskSpec, held: RetrievalAssets) -> TaskResult:
-    """The vehicle of the pool nearest to a task's adversarial shape and its controls: a row for each and each detector.
+    """Score the pool's vehicle nearest to a task's adversarial shape, and its controls: a row per vehicle and detector.
 
-    Nothing for a pose task, and where nothing could be placed.
-    Raises: InputError: tables, a scene or a vehicle that cannot be loaded or are not those of the sweep.
+    Gives no rows for a pose task, or if nothing could be placed.
+    Raises: InputError: tables, a scene or a vehicle that cannot be loaded, or that are not those of the sweep.
     Source: SHIFT3D, supplement, 'Retrieving the Nearest Match'; controls are our choice.
     """
     solutions = {(found.method, found.replicate): found for found in held.held.solutions(spec)}
@@ -84,10 +84,10 @@ def retrieval_task(spec: TaskSpec, held: RetrievalAssets) -> TaskResult:
 def _scored(
     spec: TaskSpec, held: RetrievalAssets, kin: dict[str, Any], solution: Solution, others: dict[str, Detector]
 ) -> dict[str, Row]:
-    """A vehicle of the pool at a solution's pose, on the ground, by the scoring detector's name."""
+    """Score a vehicle of the pool at a solution's pose, on the ground. Returns results by the detector's name."""
     assets = held.held.assets
     own, code = solution.vehicle or assets.vehicle(spec), np.array(kin["latent_code"], np.float32)
-    # Not of its coordinates: they are of the pool's vehicles, and the sweep's may be others of the same decoder.
+    # Made from the code, not from coordinates: those refer to the pool's vehicle set, which may not be the sweep's.
     name = f"{kin['scene']}/{kin['label']}"
     vehicle = vehicle_of(name, assets.decoder, code, kin["scale_m"], own.sdf_R_object)
     theta = solution.theta.clone()

@@ -1,4 +1,4 @@
-"""One scene of a pool: its labelled vehicles cropped and fitted, and what the detector makes of them where they are."""
+"""Vehicle pool of one scene: its labelled vehicles are cropped, fitted, and scored by the detector at their places."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from shift3d.vehicles.sources import VehicleSource
 
 OWN_IOU = 0.3
-"""Bird's-eye overlap with a label from which on a box is a detection of it: cars park nearer than 5 m."""
+"""Least bird's-eye IoU of a box with a label to count as its detection: cars park nearer than 5 m."""
 _VEHICLES, _COMPARED = 5, 1000
 _BOX = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
 
 
 @dataclass(frozen=True)
 class PoolAssets:
-    """What a worker holds: scenes and detectors, and what fits shapes."""
+    """Assets of a worker: scenes and detectors, and the reconstructor of shapes."""
 
     assets: Assets
     reconstructor: Reconstructor
@@ -51,7 +51,7 @@ def load_pool_assets(spec: AssetsSpec) -> PoolAssets:
 
 
 def reconstructor_of(vehicles: VehicleSource) -> Reconstructor:
-    """What fits shapes of a set's decoder: the principal components of its codes, the scale of its first vehicles.
+    """Build the shape reconstructor of a set: principal components of its codes, scale of its first vehicles.
 
     Raises: InputError for fewer codes than components need.
     """
@@ -61,10 +61,10 @@ def reconstructor_of(vehicles: VehicleSource) -> Reconstructor:
 
 
 def pool_task(spec: TaskSpec, held: PoolAssets) -> TaskResult:
-    """Crop and fit every labelled vehicle of the task's scene: a row each, the refused ones with their reason.
+    """Crop and fit every labelled vehicle of the task's scene: one row each; refused vehicles have the reason.
 
-    A pure function of the spec's scene and the content that its hashes name, on one thread.
-    Raises: InputError: a scene that cannot be loaded or is not what the task was planned with.
+    The result is a pure function of the spec's scene and the content that its hashes name, on one thread.
+    Raises: InputError: a scene that cannot be loaded, or that differs from the plan.
     Source: SHIFT3D, supplement, 'Retrieving the Nearest Match'.
     """
     scene, _ = held.assets.scene(spec)
@@ -119,7 +119,7 @@ def _apart_cm(mesh: trimesh.Trimesh, truth: trimesh.Trimesh) -> float:
 
 
 def _true_meshes(assets: Assets, name: str, crops: list[Crop]) -> Mapping[int, trimesh.Trimesh]:
-    """The meshes behind a street's labels, object frame, by label; none where a scene was recorded."""
+    """Return the true meshes of a street's labels, object frame, by label; none for recorded scenes."""
     if not isinstance(assets.scenes, StreetScenes):
         return {}
     placed = assets.scenes.vehicles(name)
@@ -132,9 +132,9 @@ def _true_meshes(assets: Assets, name: str, crops: list[Crop]) -> Mapping[int, t
 
 
 def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> dict[int, float]:
-    """Best score of a box that overlaps each vehicle where it stands, by label.
+    """Return, by label, the best score of a box that overlaps the vehicle at its place.
 
-    0 without such a box, and so for a vehicle beyond the detector's grid.
+    The score is 0 without such a box, and so for a vehicle beyond the detector's grid.
     """
     if not crops:
         return {}
@@ -145,7 +145,7 @@ def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> 
     detector = assets.detector_of(spec.detector, "float32")
     try:
         window = detector.window_for((float(middle[0]), float(middle[1])), reach)
-    except InputError:  # every vehicle stands beyond the grid
+    except InputError:  # every vehicle is beyond the grid
         return {crop.label: 0.0 for crop in crops}
     points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
     with torch.no_grad():
@@ -154,7 +154,7 @@ def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> 
 
 
 def own_score(proposals: Proposals, box: NDArray[np.float64]) -> float:
-    """Score of the best box after suppression that overlaps a vehicle's (7,), network frame; 0 without one."""
+    """Return the score of the best box after suppression that overlaps box (7,), network frame; 0 without one."""
     own = iou_bev(box, proposals.boxes.numpy())[0] >= OWN_IOU
     found = detections_until(proposals, box, own)
     return float((found.scores * (iou_bev(box, found.boxes)[0] >= OWN_IOU)).max(initial=0.0))

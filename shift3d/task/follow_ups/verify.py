@@ -1,11 +1,11 @@
-"""A solution scored again, so that no reported blind spot is a rounding of its search.
+"""Verification: scores solutions again, so that no reported blind spot is a rounding error of its search.
 
-Each solution of a finished task is rendered again at the sweep's own accuracy (the score must come out the same), at
-reference accuracy with the detectors in float64 (`score_reference`), with fresh noise along the beams that meet the
-object, and a little off its pose. All of it is done to the baseline too, with the same draws: what counts is whether
-the solution is still below its baseline by the same margin.
+Each solution of a finished task is rendered again in four ways: at the sweep's own accuracy (the score must be the
+same); at reference accuracy with the detectors in float64 (`score_reference`); with new noise along the beams that hit
+the object; and near its pose. The baseline is rendered in the same ways with the same draws, because the margin counts:
+whether the solution is still below its baseline by the same margin.
 
-stable: its score and its margin are those of the reference to within `SCORE_TOLERANCE`. A property of our arithmetic.
+stable: score and margin are within `SCORE_TOLERANCE` of the reference's. A property of the arithmetic.
 robust: under every draw of noise and pose at least half of the margin is left, or at most 0.02 is lost. A property of
 the blind spot.
 """
@@ -30,12 +30,12 @@ from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
 
 SCORE_TOLERANCE = 0.02
-"""How far a score may lie from that at reference accuracy, and a margin from its own."""
+"""Largest difference of a score or a margin from its value at reference accuracy."""
 
 
 @dataclass
 class VerifyAssets:
-    """What a worker holds: the sweep's assets, and where its final tables lie."""
+    """Assets of a worker: the sweep's assets, and the folder of its final tables."""
 
     assets: Assets
     results: Location
@@ -43,7 +43,7 @@ class VerifyAssets:
     _baselines: dict[tuple[str, bytes, bytes], Verified] = field(default_factory=dict)
 
     def solutions(self, spec: TaskSpec) -> list[Solution]:
-        """Every solution of a task with its scores, the baseline first; none where nothing could be placed.
+        """Return every solution of a task with its scores, the baseline first; empty if nothing could be placed.
 
         Raises: InputError: tables that are missing, damaged, or lack the baseline.
         """
@@ -77,10 +77,10 @@ class VerifyAssets:
         return self._tables[name].of(task_id)
 
     def verified(self, spec: TaskSpec, solution: Solution, problems: Problems) -> tuple[Verified, bool]:
-        """`verify_object`, and whether it was done now: tasks of one vehicle in one scene share their baseline."""
+        """Verify a solution. Also returns False if the result was known: tasks of one place share their baseline."""
         if solution.method != "baseline":
             return verify_object(spec, solution, problems), True
-        # A sweep may hold results of two machines, which rounded differently.
+        # A sweep may hold results of two machines that rounded differently.
         key = (spec.baseline.task_id, solution.code.numpy().tobytes(), solution.theta.numpy().tobytes())
         new = key not in self._baselines
         if new:
@@ -89,9 +89,9 @@ class VerifyAssets:
 
 
 def load_verify_assets(spec: AssetsSpec) -> VerifyAssets:
-    """Load what the verification of a sweep's tasks shares.
+    """Load the shared assets of the verification of a sweep's tasks.
 
-    Raises: InputError: as `load_assets`; this machine does not see the sweep's folder, so that no task can run here.
+    Raises: InputError: as `load_assets`; or this machine cannot read the sweep's folder, so that it can run no task.
     """
     assert spec.results is not None
     results = as_location(spec.results)
@@ -102,11 +102,10 @@ def load_verify_assets(spec: AssetsSpec) -> VerifyAssets:
 
 
 def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
-    """Verify every solution of one finished task: a row for each of them and each detector.
+    """Verify every solution of one finished task: a row for each solution and detector.
 
-    A pure function of the spec, the solutions and the content that the spec's hashes name, on one thread.
-
-    Raises: InputError: tables, a scene or a vehicle that cannot be loaded or are not those of the sweep.
+    The result is a pure function of the spec, the solutions and the content that the spec's hashes name, on one thread.
+    Raises: InputError: tables, a scene or a vehicle that cannot be loaded, or that are not those of the sweep.
     Source: our choice: the paper scores once.
     """
     solutions = held.solutions(spec)
@@ -133,7 +132,7 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
 
 
 def verified_rows(solution: Solution, verified: Verified, start: Solution, baseline: Verified) -> list[Row]:
-    """A row a detector, without the columns that the spec determines. start, baseline: the task's own baseline."""
+    """Return a row per detector, without the columns of the spec. start, baseline: the task's own baseline."""
     found = asdict(verified.found)
     same: Row = {
         "hits_reference": found.pop("hits"),
@@ -170,7 +169,7 @@ def verified_rows(solution: Solution, verified: Verified, start: Solution, basel
 
 
 def _cause(name: str, score: float, verified: Verified, baseline: Verified, moved: float) -> str:
-    """Why a score or a margin is not that of the reference."""
+    """Explain why a score or a margin differs from the reference's."""
     if verified.again[name] != score:
         return f"not reproduced: at the sweep's own accuracy it is {verified.again[name]:.3f} now"
     of, whose = (verified, "its") if moved > SCORE_TOLERANCE else (baseline, "the baseline's")
