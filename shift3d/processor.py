@@ -10,7 +10,14 @@ import platform
 import sys
 from pathlib import Path
 
-__all__ = ["configure_runtime", "has_fast_bfloat16", "has_wide_float32", "pad_to_bucket", "rounding", "usable_cpus"]
+__all__ = [
+    "configure_runtime",
+    "has_fast_bfloat16",
+    "onednn_float32_is_faster",
+    "pad_to_bucket",
+    "rounding",
+    "usable_cpus",
+]
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # Capacities of the primitive caches of oneDNN and torch; large memory pages for large tensors.
@@ -63,7 +70,7 @@ def has_fast_bfloat16() -> bool:
 
 
 @functools.cache
-def has_wide_float32() -> bool:
+def onednn_float32_is_faster() -> bool:
     """True if oneDNN computes float32 matrix products faster than MKL, torch's default.
 
     On processors of other vendors than Intel, MKL uses half the width of AVX-512: 90 GFLOP/s, oneDNN 200 GFLOP/s (one

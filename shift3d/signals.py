@@ -8,13 +8,13 @@ import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-__all__ = ["stop_signals", "taken_signals"]
+__all__ = ["handle_stop_signals", "received_signals"]
 
 _taken = 0
 
 
-def taken_signals() -> int:
-    """Count the signals that handlers of `stop_signals` received in this process.
+def received_signals() -> int:
+    """Count the signals that handlers of `handle_stop_signals` received in this process.
 
     Work may finish normally after a stop signal. A caller that sees a larger count than before starts no further work.
     """
@@ -22,7 +22,7 @@ def taken_signals() -> int:
 
 
 @contextlib.contextmanager
-def stop_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+def handle_stop_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """Send SIGINT and SIGTERM to `handler` inside the context, and restore the previous handlers afterwards.
 
     Outside the main thread this changes nothing: Python sets signal handlers in the main thread only.

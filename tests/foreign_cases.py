@@ -21,8 +21,8 @@ from foreign_configs import (
 )
 from foreign_sources import Anchors, Centres, Pillars, Source
 
-from shift3d.detectors.foreign.detector import CONFIGS_OWN, ForeignDetector, foreign_layout, load_foreign
-from shift3d.detectors.foreign.parts import Choices
+from shift3d.detectors.foreign.config_common import ForeignOverrides
+from shift3d.detectors.foreign.detector import NO_OVERRIDES, ForeignDetector, foreign_layout, load_foreign
 from shift3d.detectors.models.network import Precision
 
 CAR, WALKER, CYCLIST = (3.9, 1.6, 1.56), (0.8, 0.6, 1.73), (1.76, 0.6, 1.73)
@@ -38,7 +38,7 @@ class Case:
     height_m: float
     turned: bool
     key: str
-    choices: Choices = CONFIGS_OWN
+    choices: ForeignOverrides = NO_OVERRIDES
 
     def saved(self, folder: Path) -> tuple[Path, Path]:
         """Config and checkpoint, in a folder."""
@@ -104,7 +104,7 @@ CASES = {
             lambda: Source(
                 True, Pillars(WIDE_RANGE, (0.4, 0.4, 8), (0.4, 0.0), (8, 8), 20), (1, 2, 2), (1, 2, 4),
                 Centres((3,), 0, 1, 6, 6, True, False, 1),
-            ), 0.0, False, "model_state", Choices(intensity=0.4),
+            ), 0.0, False, "model_state", ForeignOverrides(intensity=0.4),
         ),
         Case(
             "openpcdet-dynamic", pcd_centerpoint_nuscenes,

@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from shift3d.detectors.foreign.parts import Choices
+from shift3d.detectors.foreign.config_common import ForeignOverrides
 from shift3d.detectors.models.pillar_net import FEATURE_SCALE
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 
@@ -40,9 +40,9 @@ class Port:
         return f"{self.codebase}-{self.shipped}"
 
     @property
-    def choices(self) -> Choices:
+    def choices(self) -> ForeignOverrides:
         """What is said beside the config: Waymo's intensities are on an open scale."""
-        return Choices(intensity=self.intensity if self.data_set == "WaymoDataset" else None)
+        return ForeignOverrides(intensity=self.intensity if self.data_set == "WaymoDataset" else None)
 
     def saved(self, folder: Path) -> tuple[Path, Path]:
         """Config and checkpoint, in a folder."""

@@ -15,14 +15,14 @@ from typing import Any
 import yaml
 
 from shift3d.settings import folders
-from shift3d.settings.compose import Composed, compose_sweep
+from shift3d.settings.compose import ComposedSweep, compose_sweep
 
 HEAD = {"defaults": [{"/vehicle": "coupe"}, {"/attack": "paper"}, "_self_"]}
 AXES = {"hydra": {"sweeper": {"params": {"attack.lambda": "1,10"}}}}
 
 
 @functools.cache
-def _composed() -> Composed:
+def _composed() -> ComposedSweep:
     return compose_sweep("smoke", ["vehicle=suv", "mode=shape"])
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.analysis.statistics.releases import Rates, Rule, stopped_releases
+from shift3d.analysis.statistics.releases import ReleaseRule, SimulatedRates, stopped_releases
 from shift3d.seeding import generator
 from shift3d.store.atomic import write_atomic
 
@@ -32,9 +32,9 @@ def suite(objects: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], list[st
     return 1.0 / (1.0 + np.exp(-logits)), hard, [str(index % objects // 2) for index in range(2 * objects)]
 
 
-def rates(objects: int, noise: float) -> Rates:
+def rates(objects: int, noise: float) -> SimulatedRates:
     """Of simulated releases with the gate's own rule."""
-    return stopped_releases(*suite(objects), noise, LOSS, Rule(), RELEASES)
+    return stopped_releases(*suite(objects), noise, LOSS, ReleaseRule(), RELEASES)
 
 
 def main() -> int:

@@ -22,10 +22,10 @@ def draw(sweeps: list[Sweep], path: Path) -> None:
     import matplotlib.pyplot as plt
     import numpy as np
 
-    from shift3d.analysis.cases.rendered import Loaded
+    from shift3d.analysis.cases.rendered import PageCache
     from shift3d.vehicles.picture import BODY_RGB, shaded
 
-    every = [(sweep, Loaded(sweep.plan), row) for sweep in sweeps for row in found(sweep)]
+    every = [(sweep, PageCache(sweep.plan), row) for sweep in sweeps for row in found(sweep)]
     order = sorted(generator("hard vehicles picture").permutation(len(every))[:PANELS])
     lines = -(-len(order) // COLUMNS)
     figure, axes = plt.subplots(lines, COLUMNS, figsize=(15, 1.3 * lines))

@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from shift3d.naturalness.build import load_reference
 from shift3d.naturalness.calibration import NATURAL_PERCENTILE
-from shift3d.naturalness.measure import Naturalness, NaturalnessMeasure
+from shift3d.naturalness.measure import NaturalnessMeasure, NaturalnessMeter
 from shift3d.naturalness.sources import WideReference
 from shift3d.store.atomic import write_atomic
 from shift3d.vehicles.mesh_files import find_meshes, read_mesh
@@ -76,7 +76,7 @@ def measured(name: str, shapes: Iterable[NaturalnessMeasure], total: int) -> Gro
     return Group(name, found, float(np.median(seconds)))
 
 
-def decoder_groups(measures: Naturalness) -> list[Group]:
+def decoder_groups(measures: NaturalnessMeter) -> list[Group]:
     """The shipped baselines and the codes that the decoder was trained on."""
     shipped = VehicleSet()
     decoder = shipped.decoder()
@@ -90,14 +90,14 @@ def decoder_groups(measures: Naturalness) -> list[Group]:
     ]
 
 
-def real_group(measures: Naturalness, folders: Sequence[str]) -> Group:
+def real_group(measures: NaturalnessMeter, folders: Sequence[str]) -> Group:
     """Meshes of folders, each scaled to 4.5 m."""
     files = [file for folder in folders for file in find_meshes(folder)]
     shapes = (measures.of(REAL.to_object(read_mesh(file.path), str(file.path))) for file in files)
     return measured("real cars, scaled to 4.5 m", shapes, len(files))
 
 
-def sweep_groups(measures: Naturalness, outs: Sequence[str]) -> list[Group]:
+def sweep_groups(measures: NaturalnessMeter, outs: Sequence[str]) -> list[Group]:
     """Adversarial shapes of finished sweeps, by lambda."""
     shipped = VehicleSet()
     decoder = shipped.decoder()
@@ -115,7 +115,7 @@ def sweep_groups(measures: Naturalness, outs: Sequence[str]) -> list[Group]:
     return groups
 
 
-def left_out(measures: Naturalness) -> Figures:
+def left_out(measures: NaturalnessMeter) -> Figures:
     """The calibration itself."""
     known = measures.reference.calibration
     return _of(
@@ -130,7 +130,7 @@ def main(arguments: list[str]) -> None:
     real = [value for name, value in given if name == "real"]
     options = dict(given)
     source = WideReference(int(options.get("members", WideReference.members_count)))
-    measures = Naturalness(load_reference(source, "members"))
+    measures = NaturalnessMeter(load_reference(source, "members"))
     groups = decoder_groups(measures)
     groups += [real_group(measures, real)] if real else []
     groups += sweep_groups(measures, [word for word in arguments if "=" not in word])

@@ -18,7 +18,7 @@ import numpy as np
 import trimesh
 from tqdm import tqdm
 
-from shift3d.analysis.cases.rendered import Loaded
+from shift3d.analysis.cases.rendered import PageCache
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.naturalness.build import load_reference
 from shift3d.naturalness.reference import ReferenceSet
@@ -68,7 +68,7 @@ def family(reference: ReferenceSet, count: int) -> list[float]:
 
 def solutions(reference: ReferenceSet, sweep: Sweep) -> dict[str, list[float]]:
     """Of a sweep's shapes: space/method to distances, the same shape once."""
-    loaded, found = Loaded(sweep.plan), dict[str, dict[bytes, float]]()
+    loaded, found = PageCache(sweep.plan), dict[str, dict[bytes, float]]()
     rows = [row for row in sweep.solutions.to_dict("records") if row["method"] in METHODS and row["replicate"] == 0]
     for row in tqdm(rows, desc="solutions", mininterval=5.0):
         (task,) = sweep.plan.tasks.starting_with(row["task_id"])

@@ -100,7 +100,7 @@ def draw_random_codes(path: Path, count: int = 40, columns: int = 8) -> None:
 
     from shift3d.attack.space import parameter_space
     from shift3d.naturalness.build import load_reference
-    from shift3d.naturalness.measure import Naturalness
+    from shift3d.naturalness.measure import NaturalnessMeter
     from shift3d.naturalness.sources import WideReference
     from shift3d.seeding import generator
     from shift3d.vehicles.picture import BODY_RGB, shaded
@@ -109,7 +109,7 @@ def draw_random_codes(path: Path, count: int = 40, columns: int = 8) -> None:
 
     vehicles = VehicleSet(WIDE)
     decoder, names, rng = vehicles.decoder(), vehicles.names(), generator("random codes picture")
-    measures = Naturalness(load_reference(WideReference(), "naturalness"))
+    measures = NaturalnessMeter(load_reference(WideReference(), "naturalness"))
     figure = _figure(15, 1.55 * (count // columns))
     for panel in figure.subplots(count // columns, columns).flat:
         name = names[rng.integers(len(names))]

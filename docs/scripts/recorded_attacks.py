@@ -24,7 +24,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from shift3d.accuracy_time.errors import THICK_M, chord_lengths
+from shift3d.accuracy_time.errors import THICK_CHORD_M, chord_lengths
 from shift3d.accuracy_time.gradient import attack_step, cosine
 from shift3d.attack.objective import ATTACK_RADIUS_M
 from shift3d.attack.problem import AttackProblem
@@ -90,7 +90,7 @@ class Found:
         chord_m = chord_lengths(true.metric(code), object_rays(true.beams, index, theta), truth.range_m[index])
         self.hits += int(truth.hit_mask.sum())
         self.lost += len(index)
-        self.lost_thick += int((chord_m >= THICK_M).sum())
+        self.lost_thick += int((chord_m >= THICK_CHORD_M).sum())
         self.false += int((rendering.hit_mask & ~truth.hit_mask).sum())
         self.depth_m += tuple(depth_m[truth.hit_mask & ~lost].tolist())
 

@@ -18,7 +18,7 @@ import pyarrow as pa
 from shift3d.cli.main import COMMANDS, make_parser
 from shift3d.exit_codes import EXIT_CODES
 from shift3d.render.settings import PRESETS, RenderSettings
-from shift3d.store.schemas import ABOUT, AGGREGATES, MEANINGS, SCHEMA_VERSION, SCHEMAS, SEGMENTS
+from shift3d.store.schemas import AGGREGATES, COLUMN_MEANINGS, SCHEMA_VERSION, SCHEMAS, SEGMENTS, TABLE_DESCRIPTIONS
 
 DOCS = Path(__file__).resolve().parents[1]
 CONF = DOCS.parent / "conf"
@@ -173,11 +173,17 @@ def tables_page() -> str:
         "Folders of older versions are read by every command.",
     ]
     for name in (*SEGMENTS, *AGGREGATES):
-        lines += ["", f"## {name}.parquet", "", f"{ABOUT[name][0].upper()}{ABOUT[name][1:]}.", ""]
+        lines += [
+            "",
+            f"## {name}.parquet",
+            "",
+            f"{TABLE_DESCRIPTIONS[name][0].upper()}{TABLE_DESCRIPTIONS[name][1:]}.",
+            "",
+        ]
         lines += ["| column | type | null | meaning |", "|---|---|---|---|"]
         for field in SCHEMAS[name]:
             null = "yes" if field.nullable else ""
-            lines.append(f"| `{field.name}` | {_type(field.type)} | {null} | {_cell(MEANINGS[field.name])} |")
+            lines.append(f"| `{field.name}` | {_type(field.type)} | {null} | {_cell(COLUMN_MEANINGS[field.name])} |")
     return "\n".join(lines) + "\n"
 
 

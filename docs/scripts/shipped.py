@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from shift3d.analysis.forecast import SHIPPED, TaskParts
+from shift3d.analysis.forecast import SHIPPED, TaskPartTimes
 from shift3d.analysis.results import read_sweep
 from shift3d.analysis.tables.accuracy.cost import MEASURED
 from shift3d.errors import InputError
@@ -30,7 +30,7 @@ _STEP, _DESCENT = ("render", "constraints"), ("detector", "backward")
 _SCORED_BY = "scored_by_"
 
 
-def measured_parts(scores: pd.DataFrame, timings: pd.DataFrame, source: str) -> TaskParts:
+def measured_parts(scores: pd.DataFrame, timings: pd.DataFrame, source: str) -> TaskPartTimes:
     """From the tables of finished sweeps, one below the other; source: how to call them.
 
     Raises:
@@ -47,7 +47,7 @@ def measured_parts(scores: pd.DataFrame, timings: pd.DataFrame, source: str) -> 
     once = rest[~others & ~rest["stage"].isin(["total", "transfers", "effects_once"])]
     by_others = rest[others].assign(detector=rest[others]["stage"].str.removeprefix(_SCORED_BY))
     scored = pd.concat([objects[objects["stage"] == "detector"], by_others]).assign(stage="detector")
-    return TaskParts(
+    return TaskPartTimes(
         source=source,
         accuracy=accuracies[0],
         once_ms=_mean(once, "mode", whose.groupby("mode").size().to_dict()),

@@ -24,7 +24,7 @@ from shift3d.analysis.tables.auc import with_baseline
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import reasons
 from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds
-from shift3d.analysis.tables.failure_rules import failure_rules, rule_text, rules_objects
+from shift3d.analysis.tables.failure_rules import failure_rules, rule_objects, rule_text
 from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import Table
@@ -88,7 +88,7 @@ def _aucs(variant: Variant) -> Figures:
             if value is not None:
                 yield f"{label}/{vehicle}", _one(value, "AUC", n=int(rows["vehicle"].eq(vehicle).sum()))
         mean = variant.aucs.mean(method, variant.vehicles)
-        ratio = aucs_of_scores(pd.concat([rows, base])).of_baseline(method, variant.vehicles)
+        ratio = aucs_of_scores(pd.concat([rows, base])).ratio_to_baseline(method, variant.vehicles)
         if mean is not None:
             yield f"{label}/mean", _within(mean, vehicle_mean_interval(rows), "AUC", len(rows))
         if ratio is not None and method != "baseline":
@@ -104,7 +104,7 @@ def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
         f"{variant.title}/adversarial/less random draws",
         _within(below.interval.mean, below.interval, "AUC", below.tasks),
     )
-    if not variant.is_own:  # the same shapes
+    if not variant.scores_itself:  # the same shapes
         return
     tasks = variant.rows["task_id"].unique()
     for method in ("adversarial", "random_budget"):
@@ -120,7 +120,7 @@ def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
 def _descent(sweep: Sweep, variant: Variant) -> Figures:
     """Whether the loss falls along the steps of a search that follows one: its mean over the last quarter less that
     over the first, task by task. Draws for a start are no steps of it."""
-    rows = searched(sweep, variant) if variant.is_own else sweep.trajectories.iloc[:0]
+    rows = searched(sweep, variant) if variant.scores_itself else sweep.trajectories.iloc[:0]
     if rows.empty:
         return
     (task,) = sweep.plan.tasks.starting_with(rows["task_id"].iloc[0])
@@ -152,7 +152,7 @@ def _cells(sweep: Sweep, variant: Variant) -> Figures:
 
 
 def _path(sweep: Sweep, variant: Variant) -> Figures:
-    rows = searched(sweep, variant) if variant.is_own else sweep.trajectories.iloc[:0]
+    rows = searched(sweep, variant) if variant.scores_itself else sweep.trajectories.iloc[:0]
     if rows.empty or sweep.plan.sweep != "trajectories":
         return
     steps, mean, low, high = mean_path(rows)
@@ -178,7 +178,7 @@ def _rules(sweep: Sweep) -> Figures:
     """Of a sweep made for them: by how much the score is lower where a rule holds, by group of objects."""
     if sweep.plan.sweep != "failure_rules":
         return
-    objects = rules_objects(sweep)
+    objects = rule_objects(sweep)
     for detector, rows in objects.groupby("scored_by"):
         yield f"objects scored by {detector}", _within(float(rows["score"].mean()), None, "score", len(rows))
     for tried in failure_rules(objects):

@@ -62,7 +62,7 @@ def place_case(scenes: str, number: int, spec: TaskSpec, assets: Assets) -> Case
     raise InputError(what, "frontier.cases", "Give more scenes (scenes.count=20) or other distances")
 
 
-def problem_of(
+def case_problem(
     case: Case, assets: Assets, accuracy: Mapping[str, Any], code: Tensor | None = None, grid: bool = False
 ) -> AttackProblem:
     """Set up the attack on a case as a task of this accuracy does, with the detector in the precision of the search.

@@ -14,9 +14,9 @@ import torch
 
 from shift3d.accuracy_time.cases import Case, place_case
 from shift3d.accuracy_time.journal import Journal
-from shift3d.accuracy_time.measure import CaseInstrument
-from shift3d.accuracy_time.rows import MeasuredCase
-from shift3d.accuracy_time.run import Repeats, Tell, expected_seconds, measure_case
+from shift3d.accuracy_time.measure import CaseMeasurer
+from shift3d.accuracy_time.rows import CaseResults
+from shift3d.accuracy_time.run import ProgressCallback, RepeatLimits, expected_seconds, measure_case
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import machine
 from shift3d.accuracy_time.truth import Truth, make_truth, read_truth, write_truth
@@ -59,7 +59,7 @@ class FrontierPlan:
     cases: tuple[tuple[str, float], ...]
     reference: Setting
     search: Setting
-    repeats: Repeats
+    repeats: RepeatLimits
     descent_steps: int
     warm_steps: int
     within_m: float
@@ -71,8 +71,8 @@ class FrontierPlan:
 
 
 def measure_frontier(
-    groups: Sequence[SceneGroup], plan: FrontierPlan, folder: Path, again: bool, tell: Tell
-) -> list[MeasuredCase]:
+    groups: Sequence[SceneGroup], plan: FrontierPlan, folder: Path, again: bool, tell: ProgressCallback
+) -> list[CaseResults]:
     """Measure every setting on every case, except measurements that the folder already holds.
 
     Args:
@@ -91,14 +91,14 @@ def measure_frontier(
         journal = Journal(here / "journal.jsonl")
         if again:
             journal.forget()
-        instrument = CaseInstrument(case, assets, truth, plan.reference, plan.warm_steps, plan.repeats.slow_s)
+        instrument = CaseMeasurer(case, assets, truth, plan.reference, plan.warm_steps, plan.repeats.slow_s)
 
         def report(name: str, seconds: float, known: bool, where: str = case.name) -> None:
             tell(f"{where}: {name}", seconds, known)
 
         results = measure_case(plan.settings, instrument, journal, plan.repeats, report)
         undecided = sum(truth.unresolved.values())
-        measured.append(MeasuredCase(group.name, case.beams, results, undecided))
+        measured.append(CaseResults(group.name, case.beams, results, undecided))
     return measured
 
 
@@ -110,7 +110,7 @@ def _cases(group: SceneGroup, plan: FrontierPlan, assets: Assets) -> Iterator[Ca
         yield place_case(group.name, number, spec, assets)
 
 
-def _truth(path: Path, case: Case, plan: FrontierPlan, assets: Assets, tell: Tell) -> Truth:
+def _truth(path: Path, case: Case, plan: FrontierPlan, assets: Assets, tell: ProgressCallback) -> Truth:
     tell(f"{case.name}: truth", 0.0, False)
     if not (known := path.is_file()):
         write_truth(path, make_truth(case, assets, plan.reference, plan.search, plan.descent_steps))

@@ -12,7 +12,7 @@ from shift3d.render.field.object_field import ObjectField
 from shift3d.render.rendering import Rendering
 from shift3d.task.differences import WRONG_SURFACE_M
 
-THICK_M = 0.02
+THICK_CHORD_M = 0.02
 """The preset `standard` must not miss chords of this length or more (the project's claim)."""
 _SAMPLE_M = 0.002
 _CHORD_M = 0.05
@@ -33,7 +33,7 @@ class TrueHits:
     @property
     def thick(self) -> Tensor:
         """Mask (M,) bool of the hits with a chord of at least 2 cm."""
-        return self.chord_m >= THICK_M
+        return self.chord_m >= THICK_CHORD_M
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from shift3d.accuracy_time.cases import Case, problem_of
+from shift3d.accuracy_time.cases import Case, case_problem
 from shift3d.accuracy_time.errors import compare
 from shift3d.accuracy_time.gradient import AttackStep, attack_step, cosine, norm_ratio
 from shift3d.accuracy_time.settings import Setting
@@ -50,7 +50,7 @@ class _Prepared:
 
 
 @dataclass
-class CaseInstrument:
+class CaseMeasurer:
     """Measurement of settings on one case.
 
     truth: ground truth of the case. exact: preset that made the truth; its field gives the residual |g|. warm_steps:
@@ -97,7 +97,7 @@ class CaseInstrument:
         detector in the precision of the search. Their solutions are scored in the precision of a task's scores.
         """
         spec, steps = self.case.spec, setting.attack_steps
-        problem = problem_of(self.case, self.assets, setting.accuracy, grid=True)
+        problem = case_problem(self.case, self.assets, setting.accuracy, grid=True)
         limits = PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
         steady, radius_m = spec.attack.selection_window, spec.attack.detection_radius_m
         found = [
@@ -117,7 +117,7 @@ class CaseInstrument:
     def _ready(self, setting: Setting, shape: str) -> _Prepared:
         key = setting.step_key, shape
         if key not in self._prepared:
-            problem = problem_of(self.case, self.assets, setting.accuracy, self.truth.codes[shape], setting.grid)
+            problem = case_problem(self.case, self.assets, setting.accuracy, self.truth.codes[shape], setting.grid)
             before = None if setting.warm == "no" else self._approach(setting, problem)
             incremental = problem.incremental_inference() if before is not None and setting.incremental else None
             self._prepared[key] = _Prepared(problem, before, incremental)
@@ -188,7 +188,7 @@ class CaseInstrument:
         """Compute the largest |g| at a hit, by the reference's float64 field, not in the setting's precision."""
         key = "exact", shape
         if key not in self._prepared:
-            problem = problem_of(self.case, self.assets, self.exact.accuracy, self.truth.codes[shape])
+            problem = case_problem(self.case, self.assets, self.exact.accuracy, self.truth.codes[shape])
             self._prepared[key] = _Prepared(problem)
         problem = self._prepared[key].problem
         index = torch.nonzero(rendering.hit_mask).squeeze(1)
@@ -208,5 +208,5 @@ def _rendered(
     theta = theta.detach().clone().requires_grad_(setting.variable == "pose")
     with torch.set_grad_enabled(setting.variable != "no"):
         sdf = problem.field_of(code)
-        grid = problem.space_for(code)
+        grid = problem.sdf_grid_for(code)
         return render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm, grid)

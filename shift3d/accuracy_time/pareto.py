@@ -30,7 +30,7 @@ _READ = (
 )
 
 
-def misplaced(columns: Mapping[str, Any]) -> FloatArray:
+def misplaced_share(columns: Mapping[str, Any]) -> FloatArray:
     """Compute the share (N,) of true hits that are missed or on a wrong surface. columns: columns of the frontier."""
     return _floats(columns["missed_hits"]) + _floats(columns["wrong_surface"])
 
@@ -49,7 +49,7 @@ def effective_error_m(columns: Mapping[str, Any]) -> FloatArray:
     """
     depth = 0.5 * _floats(columns["depth_p50_m"]) + 0.49 * _floats(columns["depth_p99_m"])
     depth = depth + 0.01 * _floats(columns["depth_max_m"])
-    return np.asarray(depth + MISPLACED_M * (misplaced(columns) + _floats(columns["false_hits"])))
+    return np.asarray(depth + MISPLACED_M * (misplaced_share(columns) + _floats(columns["false_hits"])))
 
 
 def warm_starts(columns: Mapping[str, Any]) -> BoolArray:
@@ -61,7 +61,7 @@ def warm_starts(columns: Mapping[str, Any]) -> BoolArray:
     return np.array(found, dtype=bool)
 
 
-def dominators(
+def dominating_rows(
     time: npt.ArrayLike,
     error: npt.ArrayLike,
     warm: npt.ArrayLike | None = None,
@@ -105,15 +105,15 @@ def dominators(
     return found
 
 
-def dominators_of(columns: Mapping[str, Any]) -> npt.NDArray[np.int64]:
-    """Apply `dominators` to rows of one scene set. columns: columns (N,) of the frontier.
+def dominating_rows_of_table(columns: Mapping[str, Any]) -> npt.NDArray[np.int64]:
+    """Apply `dominating_rows` to rows of one scene set. columns: columns (N,) of the frontier.
 
     Null in `grid` and `gradient`, as in a frontier of version 1, counts as no grid and no gradient.
     """
     grid = [each is True or each is np.True_ for each in columns["grid"]]
     gradient = [each if isinstance(each, str) else "no" for each in columns["gradient"]]
     warm = warm_starts(columns)
-    return dominators(columns["ms_median"], effective_error_m(columns), warm, grid, gradient)
+    return dominating_rows(columns["ms_median"], effective_error_m(columns), warm, grid, gradient)
 
 
 def pareto_flags(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
@@ -125,11 +125,11 @@ def pareto_flags(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
     for scenes in {row["scenes"] for row in rows}:
         members = [number for number, row in enumerate(rows) if row["scenes"] == scenes]
         columns = {name: [rows[number].get(name) for number in members] for name in _READ}
-        flags[members] = dominators_of(columns) < 0
+        flags[members] = dominating_rows_of_table(columns) < 0
     return [bool(flag) for flag in flags]
 
 
-def drawable(error: npt.ArrayLike, least: float) -> FloatArray:
+def log_axis_errors(error: npt.ArrayLike, least: float) -> FloatArray:
     """Replace zeros in errors (N,) for a logarithmic axis: zero goes 1.5 decades below the smallest nonzero error.
 
     least: stands for the smallest nonzero error if all errors are zero.
@@ -144,12 +144,12 @@ def knee(time: npt.ArrayLike, error: npt.ArrayLike) -> int | None:
     """Find the knee of a front: the point farthest below the line between the front's ends, both axes logarithmic.
 
     Faster points lose much accuracy; slower points cost much time for little accuracy. The front's ends are scaled to
-    distance one on either axis, so that units do not matter. ``drawable`` places errors of zero.
+    distance one on either axis, so that units do not matter. ``log_axis_errors`` places errors of zero.
 
     time, error: (N,) of a front, in any order; times are positive. Returns the point's number, the fastest of equally
     far points; None with fewer than three points, equal ends, or no point below the line.
     """
-    times, errors = _floats(time), drawable(error, 1.0)
+    times, errors = _floats(time), log_axis_errors(error, 1.0)
     order = np.argsort(times, kind="stable")
     if len(order) < 3:
         return None

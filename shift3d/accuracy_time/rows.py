@@ -20,7 +20,7 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class MeasuredCase:
+class CaseResults:
     """Results of one case. scenes: scene set. beams: number of beams of the scene. results: by the setting's name.
 
     undecided: number of beams that the reference could not decide; the ground truth lacks them.
@@ -32,7 +32,7 @@ class MeasuredCase:
     undecided: int = 0
 
 
-def frontier_rows(settings: Sequence[Setting], cases: Sequence[MeasuredCase]) -> list[Row]:
+def frontier_rows(settings: Sequence[Setting], cases: Sequence[CaseResults]) -> list[Row]:
     """Compute a row per scene set and setting for `store.frontier_table`, grouped by scene set.
 
     Counts and depths are pooled over the set's renderings. Times are the median and quartiles of each case's repeats,
@@ -59,7 +59,7 @@ def _is_chord_only(setting: Setting) -> bool:
     return setting.accuracy.get("solver") == "paper" and bool(setting.accuracy.get("sphere_chord_only"))
 
 
-def _row(setting: Setting, scenes: str, cases: Sequence[MeasuredCase]) -> Row:
+def _row(setting: Setting, scenes: str, cases: Sequence[CaseResults]) -> Row:
     results = [case.results[setting.name] for case in cases]
     looks = [result.look for result in results]
     outcomes = looks + [result.displaced for result in results if result.displaced is not None]

@@ -8,16 +8,16 @@ from functools import partial
 from typing import Any
 
 from shift3d.accuracy_time.journal import Journal
-from shift3d.accuracy_time.measure import CaseInstrument, Outcome
+from shift3d.accuracy_time.measure import CaseMeasurer, Outcome
 from shift3d.accuracy_time.settings import Setting
-from shift3d.accuracy_time.timing import turns, wanted_samples
+from shift3d.accuracy_time.timing import interleaved_samples, num_further_timings
 
-Tell = Callable[[str, float, bool], None]
+ProgressCallback = Callable[[str, float, bool], None]
 """Progress callback: name of the measurement, its expected seconds when done (else 0), True if already known."""
 
 
 @dataclass(frozen=True)
-class Repeats:
+class RepeatLimits:
     """Number of timings of a rendering: at most `most`, and at most as many as fit into `seconds`. A rendering slower
     than slow_s is timed once, in its first measurement."""
 
@@ -28,7 +28,7 @@ class Repeats:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Results of one setting on one case; see `measure.CaseInstrument` for the outcomes.
+    """Results of one setting on one case; see `measure.CaseMeasurer` for the outcomes.
 
     displaced: None if the setting skips the displaced shape. attack: None without attacks. steps: times of the attack
     steps, including that of `look`. samples_ms: times of renderings, at least one.
@@ -53,10 +53,10 @@ class _Measurement:
 
 def measure_case(
     settings: Sequence[Setting],
-    instrument: CaseInstrument,
+    instrument: CaseMeasurer,
     journal: Journal,
-    repeats: Repeats,
-    tell: Tell = lambda name, seconds, known: None,
+    repeats: RepeatLimits,
+    tell: ProgressCallback = lambda name, seconds, known: None,
 ) -> dict[str, CaseResult]:
     """Measure everything missing from the journal, in an order that spreads the machine's drift over all settings.
 
@@ -70,7 +70,9 @@ def measure_case(
     for setting in settings:
         alike.setdefault(setting.rendering_key, setting)
     first_ms = {key: journal[f"look/{setting.step_key}"]["render_ms"] for key, setting in alike.items()}
-    counts = {key: wanted_samples(ms, repeats.most, repeats.seconds, repeats.slow_s) for key, ms in first_ms.items()}
+    counts = {
+        key: num_further_timings(ms, repeats.most, repeats.seconds, repeats.slow_s) for key, ms in first_ms.items()
+    }
     _work_off(_samples(alike, counts, instrument), journal, tell)
     results: dict[str, CaseResult] = {}
     for setting in settings:
@@ -83,7 +85,7 @@ def measure_case(
     return results
 
 
-def _work_off(measurements: Iterator[_Measurement], journal: Journal, tell: Tell) -> None:
+def _work_off(measurements: Iterator[_Measurement], journal: Journal, tell: ProgressCallback) -> None:
     for measurement in measurements:
         known = measurement.name in journal
         tell(measurement.setting.name, 0.0, known)
@@ -92,7 +94,7 @@ def _work_off(measurements: Iterator[_Measurement], journal: Journal, tell: Tell
         tell(measurement.setting.name, measurement.seconds, known)
 
 
-def _looks(settings: Sequence[Setting], instrument: CaseInstrument) -> Iterator[_Measurement]:
+def _looks(settings: Sequence[Setting], instrument: CaseMeasurer) -> Iterator[_Measurement]:
     for setting in settings:
         seconds = _seconds(setting)
         wanted = [("look", setting.step_key, instrument.look)]
@@ -103,23 +105,23 @@ def _looks(settings: Sequence[Setting], instrument: CaseInstrument) -> Iterator[
 
 
 def _more_steps(
-    settings: Sequence[Setting], instrument: CaseInstrument, journal: Journal, repeats: Repeats
+    settings: Sequence[Setting], instrument: CaseMeasurer, journal: Journal, repeats: RepeatLimits
 ) -> Iterator[_Measurement]:
     names = {s.name: (s, _step_names(s, journal, repeats)) for s in settings}
-    for name, number in turns({name: len(found) for name, (_, found) in names.items() if found}):
+    for name, number in interleaved_samples({name: len(found) for name, (_, found) in names.items() if found}):
         setting, found = names[name]
         yield _Measurement(found[number], setting, _seconds(setting)["step"], partial(instrument.step, setting))
 
 
 def _samples(
-    alike: Mapping[str, Setting], counts: Mapping[str, int], instrument: CaseInstrument
+    alike: Mapping[str, Setting], counts: Mapping[str, int], instrument: CaseMeasurer
 ) -> Iterator[_Measurement]:
-    for key, number in turns({key: count for key, count in counts.items() if count}):
+    for key, number in interleaved_samples({key: count for key, count in counts.items() if count}):
         setting, seconds = alike[key], _seconds(alike[key])["samples"] / counts[key]
         yield _Measurement(f"sample/{key}/{number}", setting, seconds, partial(instrument.sample, setting))
 
 
-def _step_names(setting: Setting, journal: Journal, repeats: Repeats) -> list[str]:
+def _step_names(setting: Setting, journal: Journal, repeats: RepeatLimits) -> list[str]:
     """Name the attack steps beyond that of `look`; none for a slow rendering."""
     slow = journal[f"look/{setting.step_key}"]["render_ms"] > 1e3 * repeats.slow_s
     return [] if slow else [f"step/{setting.step_key}/{i}" for i in range(1, setting.steps)]

@@ -15,7 +15,7 @@ class Setting:
 
     name, method, knob, knob_name, preset: columns of the table, see `store.frontier_table`. accuracy: every renderer
     setting as plain values and "detector", the precision in the search, from
-    `settings.catalogue.reading.accuracy_settings`. Other fields: see `settings.accuracy_time.MeasuredSetting`.
+    `settings.catalogue.reading.accuracy_settings`. Other fields: see `settings.accuracy_time.FrontierSettingConfig`.
     """
 
     name: str

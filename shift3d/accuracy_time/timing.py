@@ -33,7 +33,7 @@ def quartiles(samples: Sequence[float]) -> tuple[float, float, float]:
     return float(low), float(median), float(high)
 
 
-def wanted_samples(first_ms: float, most: int, seconds: float, slow_s: float) -> int:
+def num_further_timings(first_ms: float, most: int, seconds: float, slow_s: float) -> int:
     """Return the number of further timings of a call: as many as fit into `seconds`, at least 1 and at most `most`.
 
     first_ms: time of the first run. If the first run exceeds slow_s, the number is 0: the first run is the only timing.
@@ -43,7 +43,7 @@ def wanted_samples(first_ms: float, most: int, seconds: float, slow_s: float) ->
     return max(1, min(most, int(1e3 * seconds / max(first_ms, 1e-6))))
 
 
-def turns(wanted: Mapping[str, int]) -> Iterator[tuple[str, int]]:
+def interleaved_samples(wanted: Mapping[str, int]) -> Iterator[tuple[str, int]]:
     """Yield (name, number of the sample) in rounds, so that no name has its samples in a row.
 
     The largest wanted number decides the number of rounds; smaller numbers of samples spread evenly over the rounds.

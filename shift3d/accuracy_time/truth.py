@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.accuracy_time.cases import Case, problem_of
+from shift3d.accuracy_time.cases import Case, case_problem
 from shift3d.accuracy_time.errors import TrueHits, chord_lengths, true_hits
 from shift3d.accuracy_time.gradient import attack_step
 from shift3d.accuracy_time.settings import Setting
@@ -57,11 +57,11 @@ def make_truth(case: Case, assets: Assets, reference: Setting, search: Setting, 
     reference: the preset, with the widest detector window, so that narrower windows can be compared with it. search,
     steps: setting and length of the attack that displaces the shape; with 0 steps both shapes are equal.
     """
-    problem = problem_of(case, assets, reference.accuracy)
+    problem = case_problem(case, assets, reference.accuracy)
     step = attack_step(problem, problem.code0, problem.theta0, reference.crop_m)
-    searched = problem_of(case, assets, search.accuracy)
+    searched = case_problem(case, assets, search.accuracy)
     spec = case.spec
-    displaced = descended_code(searched, spec.lambda_ or 0.0, spec.alpha, steps)
+    displaced = attacked_code(searched, spec.lambda_ or 0.0, spec.alpha, steps)
     codes = {"start": problem.code0.double(), "displaced": displaced}
     moved = step.rendering
     if steps:
@@ -90,7 +90,7 @@ def _hits(problem: AttackProblem, code: Tensor, rendering: Rendering) -> TrueHit
     return true_hits(rendering, chord_lengths(problem.metric(code), rays, rendering.range_m[index]))
 
 
-def descended_code(problem: AttackProblem, lambda_: float, alpha: float, steps: int) -> Tensor:
+def attacked_code(problem: AttackProblem, lambda_: float, alpha: float, steps: int) -> Tensor:
     """Attack the shape for `steps` steps at a fixed pose; return the last code (d,) float64, valid or not."""
     code, warm, incremental = problem.code0.detach().clone(), None, problem.incremental_inference()
     for _ in range(steps):

@@ -37,7 +37,7 @@ from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
 from shift3d.store.user_cache import program_digest
-from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, answers_of, detect_scenes
+from shift3d.training.detector.detect_scenes import SCORE_FLOOR, SceneDetections, detect_scenes, stored_or_detected
 from shift3d.training.provenance import refuse_tuned_scenes
 from shift3d.wording import counted
 
@@ -138,7 +138,7 @@ def evaluate_detector(
         refuse_tuned_scenes(file, [(opened_scenes.dataset, scene, "") for scene in scene_names])
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, open_scenes, workers, score_threshold)
-    found = answers_of(scene_names, out / "scenes", detect, partial(_state, opened_scenes))
+    found = stored_or_detected(scene_names, out / "scenes", detect, partial(_state, opened_scenes))
     label = f"{name}, {workers} at a time"
     answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
     return write_evaluation(name, dataset_of(scenes), answers, out)
@@ -150,7 +150,7 @@ def _state(scenes: SceneSet, name: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out: Path) -> str:
+def write_evaluation(detector: str, dataset: str, answers: Sequence[SceneDetections], out: Path) -> str:
     """Compute every metric of the answers, write tables and figure to ``out``, and return the text to print.
 
     Raises: InputError: the disk is full or not writable.

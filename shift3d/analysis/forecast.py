@@ -33,7 +33,7 @@ SHIPPED = Path(__file__).resolve().parent / "measured" / "task_parts.json"
 
 
 @dataclass(frozen=True)
-class TaskParts:
+class TaskPartTimes:
     """Milliseconds of the parts of a task with one worker and one thread, as means over the tasks of some sweeps.
 
     source: description of these sweeps. accuracy: their preset. By mode: once_ms of a task (placement, audits, mesh),
@@ -77,13 +77,13 @@ def _or_slowest(measured: dict[str, float], name: str) -> float:
     return measured.get(name, max(measured.values()))
 
 
-def shipped_parts() -> TaskParts:
+def shipped_parts() -> TaskPartTimes:
     """Load the shipped times."""
-    return TaskParts(**json.loads(SHIPPED.read_text(encoding="utf-8")))
+    return TaskPartTimes(**json.loads(SHIPPED.read_text(encoding="utf-8")))
 
 
 @dataclass(frozen=True)
-class Expected:
+class RunTimeEstimate:
     """Seconds that one worker needs for all tasks together. source: origin of the estimate. guessed: number of tasks
     whose settings differ from every task measured there. longest_s: seconds of the slowest task."""
 
@@ -93,7 +93,7 @@ class Expected:
     longest_s: float
 
 
-def _named_in(tasks: Tasks, folders: Sequence[LocationLike], what: Literal["done", "quarantined"]) -> np.ndarray:
+def _tasks_in_logs(tasks: Tasks, folders: Sequence[LocationLike], what: Literal["done", "quarantined"]) -> np.ndarray:
     """Mask (N,) bool of tasks that any folder's log names as done or quarantined. Raises InputError: unreadable log."""
     named = {task for folder in folders for entry in read_log(folder) for task in getattr(entry, what)}
     found = np.ones(len(tasks), dtype=bool)
@@ -101,7 +101,7 @@ def _named_in(tasks: Tasks, folders: Sequence[LocationLike], what: Literal["done
     return found
 
 
-def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
+def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> RunTimeEstimate:
     """Estimate the time that one worker needs for the tasks.
 
     Args: folders: sweep folders, finished or not; the first one with finished tasks provides the times.
@@ -114,12 +114,12 @@ def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
         if found := _measured(folder, model):
             guessed, source = 0, f"{counted(found[()].tasks, 'task')} that ran in {as_location(folder)}"
             for number, (spec, count) in enumerate(kinds):
-                level, key = next((at, key) for at, key in enumerate(_keys(spec)) if key in found)
+                level, key = next((at, key) for at, key in enumerate(_pooling_keys(spec)) if key in found)
                 each[number] *= found[key].seconds / found[key].by_model
                 guessed += count * (level > 0)
             break
     seconds = sum(count * one for one, (_, count) in zip(each, kinds, strict=True))
-    return Expected(seconds, source, guessed, max(each))
+    return RunTimeEstimate(seconds, source, guessed, max(each))
 
 
 def limit_line(longest_s: float, runner: RunnerConfig) -> str:
@@ -140,14 +140,14 @@ def _kinds(tasks: Tasks) -> list[tuple[TaskSpec, int]]:
     return [(tasks[at].spec, count) for at, count in zip(first.tolist(), counts.tolist(), strict=True)]
 
 
-def _keys(spec: TaskSpec) -> list[Hashable]:
+def _pooling_keys(spec: TaskSpec) -> list[Hashable]:
     """Return the keys under which a task's time is pooled, from all settings that affect the time down to none."""
     same = (spec.mode, spec.detector, spec.accuracy)
     return [(*same, spec.scored_by, spec.attack, len(spec.transfer_scenes), spec.effects), same, (spec.mode,), ()]
 
 
 @dataclass
-class _Spent:
+class _PooledTime:
     """Time of the tasks of one key: seconds of all their attempts, and seconds that the shipped times predict."""
 
     tasks: int = 0
@@ -155,7 +155,7 @@ class _Spent:
     by_model: float = 0.0
 
 
-def _measured(folder: LocationLike, model: _Model) -> dict[Hashable, _Spent]:
+def _measured(folder: LocationLike, model: _Model) -> dict[Hashable, _PooledTime]:
     """Sum the time of each key's finished tasks, without tasks that had no place and ended before the search."""
     log, tasks = read_log(folder), read_plan(folder).tasks
     attempts, scores = committed_rows(folder, log, "attempts"), committed_rows(folder, log, "scores")
@@ -167,11 +167,11 @@ def _measured(folder: LocationLike, model: _Model) -> dict[Hashable, _Spent]:
     first, kind = tasks.kinds()
     counts = np.bincount(kind[ran], minlength=len(first))
     seconds = np.bincount(kind[ran], weights=spent[ran], minlength=len(first))
-    found: dict[Hashable, _Spent] = {}
+    found: dict[Hashable, _PooledTime] = {}
     for number in np.flatnonzero(counts).tolist():
         spec = tasks[int(first[number])].spec
-        for key in _keys(spec):
-            one = found.setdefault(key, _Spent())
+        for key in _pooling_keys(spec):
+            one = found.setdefault(key, _PooledTime())
             one.tasks += int(counts[number])
             one.seconds += float(seconds[number])
             one.by_model += int(counts[number]) * model.seconds(spec)
@@ -196,7 +196,7 @@ class _Model:
         return max(self._parts.of(spec) + renderings * more_ms, renderings) / 1e3
 
 
-def expected_lines(
+def run_time_lines(
     plan: Plan,
     out: LocationLike | None,
     others: Sequence[LocationLike],
@@ -211,8 +211,8 @@ def expected_lines(
     Raises: InputError: a folder of `others` or `timings` is no sweep's, or damaged.
     """
     own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
-    done = _named_in(plan.tasks, [*own, *others], "done")
-    quarantined = _named_in(plan.tasks, own, "quarantined") & ~done
+    done = _tasks_in_logs(plan.tasks, [*own, *others], "done")
+    quarantined = _tasks_in_logs(plan.tasks, own, "quarantined") & ~done
     left = plan.tasks.select(np.flatnonzero(~done & ~quarantined))
     progress = f"{int(done.sum())} of {counted(len(plan.tasks), 'task')} are done already\n" if done.any() else ""
     if count := int(quarantined.sum()):

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from shift3d.analysis.cases.frozen import view_of
+from shift3d.analysis.cases.suite_views import view_of
 from shift3d.analysis.html.gate import gate_html
 from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.loss import least_p_value
-from shift3d.analysis.statistics.releases import Rule
+from shift3d.analysis.statistics.releases import ReleaseRule
 from shift3d.analysis.tables.gate import Comparison, compare, measures_table, simulated_rates, worst_table
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
@@ -36,7 +36,7 @@ class GateSettings:
     if nothing got worse, "anyway" in any case. name: tells the detector from others of its kind, see
     `suite.releases.last_release`."""
 
-    rule: Rule = field(default_factory=Rule)
+    rule: ReleaseRule = field(default_factory=ReleaseRule)
     workers: int = 1
     against: int | None = None
     accept: Acceptance = "false"
@@ -44,7 +44,7 @@ class GateSettings:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class GateOutcome:
     """Result of a gate. exit_code: of the command. text: to print. compared: a comparison was made and written."""
 
     exit_code: ExitCode
@@ -52,7 +52,9 @@ class Outcome:
     compared: bool = True
 
 
-def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Location, settings: GateSettings) -> Outcome:
+def run_gate(
+    suite: FrozenSuite, scorer: Scorer, releases: Location, out: Location, settings: GateSettings
+) -> GateOutcome:
     """Score the suite, compare with a release, and write the results to ``out``.
 
     ``out`` gets gate.parquet (one row per object, worst first), verdict.json, gate.html and the answers, so that a
@@ -70,7 +72,7 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     last = last_release(suite, releases, detector, settings.against, but=scorer.digest)
     if last is None and again:
         text = f"these weights are {again.name} already, the first: there is none before it to compare them with"
-        return Outcome(ExitCode.DONE, text, compared=False)
+        return GateOutcome(ExitCode.DONE, text, compared=False)
     if last is None and settings.accept == "false":
         what = f"{detector} has no release to compare with, and did not score all of the suite's objects"
         raise InputError(what, str(releases), "Give accept=true to make these weights the first release")
@@ -84,7 +86,7 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     if last is None:
         number = accept_release(suite, releases, detector, scorer.digest, after)
         text = f"{counted(len(after), 'object')} scored; accepted as release {number}, the first of {detector}"
-        return Outcome(ExitCode.DONE, text, compared=False)
+        return GateOutcome(ExitCode.DONE, text, compared=False)
     found = compare(suite.objects, last.scores, after, settings.rule)
     texts = _write(out, suite, scorer, found, last, settings)
     # The newest accepted release passes: a pipeline may run again without new weights.
@@ -95,7 +97,7 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
         texts.append(f"these weights are {again.name} already")
     elif settings.accept == "true":
         texts.append("not accepted: accept=anyway accepts a release that is worse")
-    return Outcome(ExitCode.DONE if passes else ExitCode.WORSE, "\n\n".join(filter(None, texts)))
+    return GateOutcome(ExitCode.DONE if passes else ExitCode.WORSE, "\n\n".join(filter(None, texts)))
 
 
 def _write(
@@ -116,7 +118,7 @@ def _write(
     return [str(measures_table(found)), below, sentence, caution, f"{out / 'gate.html'} written"]
 
 
-def _check(suite: FrozenSuite, scorer: Scorer, rule: Rule) -> None:
+def _check(suite: FrozenSuite, scorer: Scorer, rule: ReleaseRule) -> None:
     """Refuse a suite or detector that cannot give a verdict, before anything is scored."""
     scenes = places_of(suite.objects).nunique()
     if least_p_value(scenes) > rule.level:

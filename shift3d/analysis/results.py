@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from shift3d.errors import InputError
-from shift3d.scenes.sets import place_of
+from shift3d.scenes.sets import independent_group_of
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMAS
@@ -86,12 +86,12 @@ class Sweep:
 
 
 def places_of(rows: pd.DataFrame, dataset: str = "dataset", scene: str = "scene") -> pd.Series:
-    """Return the place that each row's scene shows, the unit that intervals resample; see `scenes.sets.place_of`.
+    """Return the independent group of each row's scene, the unit that intervals resample; see `independent_group_of`.
 
     dataset, scene: names of the columns.
     """
     pairs = list(zip(rows[dataset], rows[scene]))
-    known = {pair: place_of(*pair) for pair in dict.fromkeys(pairs)}
+    known = {pair: independent_group_of(*pair) for pair in dict.fromkeys(pairs)}
     return pd.Series([known[pair] for pair in pairs], index=rows.index, dtype=object)
 
 

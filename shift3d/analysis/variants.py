@@ -33,7 +33,7 @@ class Aucs:
         known = [value for vehicle in vehicles if (value := self.of(method, vehicle)) is not None]
         return math.fsum(known) / len(known) if known else None
 
-    def of_baseline(self, method: str, vehicles: list[str]) -> float | None:
+    def ratio_to_baseline(self, method: str, vehicles: list[str]) -> float | None:
         """Return the method's mean over the baseline's mean of the same vehicles, or None."""
         same = [vehicle for vehicle in vehicles if self.of(method, vehicle) is not None]
         if not same or any(self.of("baseline", vehicle) is None for vehicle in same):
@@ -113,7 +113,7 @@ class Variant:
         return f"{self.label[0].upper()}{self.label[1:]}"
 
     @property
-    def is_own(self) -> bool:
+    def scores_itself(self) -> bool:
         """True if the scoring detector is the attacked detector."""
         return self.detector == self.scored_by
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, drawn_pose, snapped
+from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, draw_pose, snap_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.placement.constraints import check
 
@@ -33,10 +33,10 @@ def noise_codes(code: Tensor, sigma: float, count: int, rng: np.random.Generator
 
 
 def random_pose(problem: AttackProblem, rng: np.random.Generator, limits: PoseLimits = PAPER_LIMITS) -> Tensor | None:
-    """Draw a `drawn_pose` (6,) on the ground that keeps the realism constraints; None if no draw is valid."""
+    """Draw a `draw_pose` (6,) on the ground that keeps the realism constraints; None if no draw is valid."""
     metric = problem.metric(problem.code0.detach())
     for _ in range(_ATTEMPTS):
-        theta = snapped(drawn_pose(problem.theta0, rng, limits), problem, metric, limits)
+        theta = snap_pose(draw_pose(problem.theta0, rng, limits), problem, metric, limits)
         held = check(metric, problem.obstacles_at(theta), theta, problem.size_m, 0, problem.limits, problem.others)
         if not (held.overlap_ok and held.contact_ok and held.clear_ok):
             continue

@@ -13,13 +13,13 @@ from torch import Tensor
 from shift3d.attack.loop import best_step
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
-from shift3d.attack.trials import FREE_DISTANCE, Family, Search, Trials
+from shift3d.attack.trials import FREE_DISTANCE, Family, Search, SearchEvaluator
 
 SHIFT_M, TURN_RAD = 0.1, 0.02
 """Standard deviations of the placement changes in the mean loss: the grid spacing of the beams, and a degree."""
 MOMENTA = (0.8, 0.95)
 """Moments of Adam; for some twenty steps the usual 0.9 and 0.999 are too slow."""
-KINDS_AGAIN = 3
+BEST_KINDS = 3
 """Number of kinds, the best of the first half of the starts, that the second half is drawn from."""
 
 
@@ -50,9 +50,9 @@ def descend_expectation(
     Returns: the valid step with the lowest loss of all; a draw has its own loss, a step of the descent the mean loss.
     Source: expectation over transformation (Athalye et al. 2018) with Adam (Kingma and Ba 2015); our choice.
     """
-    trials = Trials(problem, search)
+    trials = SearchEvaluator(problem, search)
     if starts > 1:
-        search = _turn_to_best_start(trials, problem, search, starts, rng, family)
+        search = _select_best_start(trials, problem, search, starts, rng, family)
     variable, at_start = trials.held, starts > 1 and trials.held is trials.variables[0]
     steps = max(0, (evaluations - (starts - 1)) // placements)
     mean, square = torch.zeros_like(variable, dtype=torch.float64), torch.zeros_like(variable, dtype=torch.float64)
@@ -74,8 +74,13 @@ def descend_expectation(
     return trials.result(best_step(trials.trace))
 
 
-def _turn_to_best_start(
-    trials: Trials, problem: AttackProblem, search: Search, starts: int, rng: np.random.Generator, family: Family | None
+def _select_best_start(
+    trials: SearchEvaluator,
+    problem: AttackProblem,
+    search: Search,
+    starts: int,
+    rng: np.random.Generator,
+    family: Family | None,
 ) -> Search:
     """Evaluate the baseline and the draws, then switch to the kind of the best; returns that kind's search."""
     trials.evaluate(search.start, False)
@@ -87,7 +92,7 @@ def _turn_to_best_start(
         if within and family is not None:
             number = next(turns)
             problem, search = family.of(number)
-            trials.turn_to(problem, search)
+            trials.switch_kind(problem, search)
         variable = search.draw(rng, FREE_DISTANCE) if within else search.project(trials.back())
         kinds.append((problem, search))
         trials.evaluate(variable, False)
@@ -96,7 +101,7 @@ def _turn_to_best_start(
     best = best_step(trials.trace)
     best = best if trials.trace[best].loss < trials.trace[0].loss else 0
     if kinds[best][1] is not search:
-        trials.turn_to(*kinds[best])
+        trials.switch_kind(*kinds[best])
     trials.held = trials.variables[best]
     return kinds[best][1]
 
@@ -104,7 +109,7 @@ def _turn_to_best_start(
 def _turns(order: Sequence[int], draws: int, lowest: Mapping[int, float]) -> Iterator[int]:
     """Yield the kind of each draw. lowest: loss of each kind with a valid draw, read after the first half."""
     yield from order[: math.ceil(draws / 2)]
-    yield from itertools.cycle(sorted(lowest, key=lowest.__getitem__)[:KINDS_AGAIN] or order)
+    yield from itertools.cycle(sorted(lowest, key=lowest.__getitem__)[:BEST_KINDS] or order)
 
 
 def _shift(rng: np.random.Generator) -> Tensor:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from shift3d.attack.objective import latent_penalty
-from shift3d.attack.pose import PoseLimits, drawn_pose, project, snapped
+from shift3d.attack.pose import PoseLimits, draw_pose, project, snap_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.space import CodeSpace
 from shift3d.attack.trials import Search
@@ -31,11 +31,11 @@ def joint_search(problem: AttackProblem, lambda_: float, space: CodeSpace, limit
         if not bool(torch.isfinite(code).all()):  # coordinates are float64, and a code may be float32
             return torch.full_like(v, torch.inf)
         metric = problem.metric(code)
-        theta = snapped(project(v[count:], problem.theta0, limits), problem, metric, limits)
+        theta = snap_pose(project(v[count:], problem.theta0, limits), problem, metric, limits)
         return torch.cat([u.double(), theta])
 
     def draw(rng: np.random.Generator, distance: float) -> Tensor:
-        return projected(torch.cat([space.draw(rng, distance).double(), drawn_pose(problem.theta0, rng, limits)]))
+        return projected(torch.cat([space.draw(rng, distance).double(), draw_pose(problem.theta0, rng, limits)]))
 
     return Search(
         start=torch.cat([space.start.double(), problem.theta0.double()]),

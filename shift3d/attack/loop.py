@@ -10,7 +10,7 @@ import torch
 
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
-from shift3d.attack.trials import Search, Trials
+from shift3d.attack.trials import Search, SearchEvaluator
 
 
 def descend(
@@ -28,7 +28,7 @@ def descend(
     the next variable is half way back to the best so far. selection_window: see `best_step`.
     Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01); the step back is our choice.
     """
-    trials = Trials(problem, search, on_step, every_step=selection_window > 0)
+    trials = SearchEvaluator(problem, search, on_step, every_step=selection_window > 0)
     variable = search.start.detach()
     for step in range(steps + 1):
         gradient = trials.evaluate(variable, step < steps)

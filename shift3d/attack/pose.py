@@ -48,8 +48,8 @@ def pose_search(problem: AttackProblem, limits: PoseLimits = PAPER_LIMITS) -> Se
         start=problem.theta0.double(),
         parameters=lambda theta: (problem.code0.detach(), theta),
         penalty=lambda theta: theta.new_zeros(()),
-        project=lambda theta: snapped(project(theta, problem.theta0, limits), problem, metric, limits),
-        draw=lambda rng, distance: snapped(drawn_pose(problem.theta0, rng, limits), problem, metric, limits),
+        project=lambda theta: snap_pose(project(theta, problem.theta0, limits), problem, metric, limits),
+        draw=lambda rng, distance: snap_pose(draw_pose(problem.theta0, rng, limits), problem, metric, limits),
     )
 
 
@@ -69,7 +69,7 @@ def attack_pose(
     return descend(problem, pose_search(problem, limits), steps, alpha, on_step, selection_window)
 
 
-def drawn_pose(theta0: Tensor, rng: np.random.Generator, limits: PoseLimits) -> Tensor:
+def draw_pose(theta0: Tensor, rng: np.random.Generator, limits: PoseLimits) -> Tensor:
     """Draw a random pose (6,) in B(theta0): shift uniform in the disc, yaw uniform, pitch and roll in the limits.
 
     Source: SHIFT3D, Adversarial Pose Generation Results ("random pose perturbations with the same constraints").
@@ -97,7 +97,7 @@ def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
     return start + change
 
 
-def snapped(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
+def snap_pose(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
     """Return the pose with its height set to the ground at its position.
 
     The height starts at that of the ground plane (if no ground is visible, at theta0's). The object then moves up or

@@ -91,7 +91,7 @@ class AttackProblem:
         kept = math.ceil(self.kept_share * self.constraints.min_object_points)  # rounded up: one return stays one
         return replace(self.constraints, min_object_points=kept)
 
-    def space_for(self, code: Tensor) -> SdfGrid | None:
+    def sdf_grid_for(self, code: Tensor) -> SdfGrid | None:
         """Return the SDF grid if it belongs to this code, else None."""
         return self.space if torch.equal(code, self.code0) else None
 
@@ -108,7 +108,7 @@ class AttackProblem:
 
     def insert(self, code: Tensor, theta: Tensor, warm: WarmStart | None = None) -> Rendering:
         """Render the object of a code (d,) at a pose (6,) with effects. Differentiable w.r.t. both."""
-        sdf, space = self.field_of(code), self.space_for(code)
+        sdf, space = self.field_of(code), self.sdf_grid_for(code)
         if self.effects is None:
             return render(self.beams, sdf, theta, self.vehicle, self.settings, warm, space)
         return self.effects.render(sdf, theta, self.settings, warm, space)

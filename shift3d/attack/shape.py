@@ -12,7 +12,7 @@ from shift3d.attack.objective import latent_penalty
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.space import CodeSpace, free_space
-from shift3d.attack.trials import Elsewhere, Search
+from shift3d.attack.trials import OtherPlace, Search
 from shift3d.placement.constraints import snap_to_ground
 
 SNAP_M = 0.35
@@ -51,7 +51,7 @@ def shape_search(
         penalty=lambda u: lambda_ * latent_penalty(space.code(u), problem.code0) if lambda_ else u.new_zeros(()),
         project=space.project,
         draw=space.draw,
-        elsewhere=tuple(Elsewhere(other, partial(on_ground, problem=other, snap_m=snap_m)) for other in elsewhere),
+        elsewhere=tuple(OtherPlace(other, partial(on_ground, problem=other, snap_m=snap_m)) for other in elsewhere),
     )
 
 

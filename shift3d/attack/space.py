@@ -14,7 +14,7 @@ from torch import Tensor
 from shift3d.attack.baselines import random_code
 from shift3d.errors import InputError
 from shift3d.sdf.principal_components import ball_radius, principal_components
-from shift3d.vehicles.parameter_box import BoxOfParameters
+from shift3d.vehicles.parameter_box import ParameterBox
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def _linear(code0: Tensor, start: Tensor, basis: Tensor) -> Callable[[Tensor], T
     return lambda u: (code0.detach().double() + (u - start) @ basis).to(code0.dtype)
 
 
-KIN = 0.5
+NEIGHBOUR_SIGMA = 0.5
 """Standard deviation of draws around a known code, in units of all known codes' (our choice: a similar vehicle)."""
 
 
@@ -57,7 +57,7 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
     the baseline's code outside the components stays unchanged.
 
     Args: code0: (d,). codes: (N, d) known codes. components: k. where: owner of the codes, for messages. near: draws
-    are the baseline's code moved by `KIN` along each component; False: draws of that Gaussian.
+    are the baseline's code moved by `NEIGHBOUR_SIGMA` along each component; False: draws of that Gaussian.
     Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
     Source: SHIFT3D's supplement takes 10 principal components to reconstruct vehicles; the ellipsoid is our choice.
     """
@@ -72,12 +72,12 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
 
     def draw(rng: np.random.Generator, distance: float) -> Tensor:
         drawn = torch.from_numpy(rng.standard_normal(components))
-        return project(start + KIN * drawn if near else drawn)
+        return project(start + NEIGHBOUR_SIGMA * drawn if near else drawn)
 
     return CodeSpace(start, _linear(code0, start, basis), project, draw)
 
 
-def parameter_space(code0: Tensor, box: BoxOfParameters) -> CodeSpace:
+def parameter_space(code0: Tensor, box: ParameterBox) -> CodeSpace:
     """Return the space of a vehicle's own kind: its parameters within the ranges of that kind.
 
     Coordinates run from -1 to 1 over each range. Source: our choice.
@@ -92,7 +92,7 @@ def parameter_space(code0: Tensor, box: BoxOfParameters) -> CodeSpace:
     return CodeSpace(start, _linear(code0, start, basis), lambda u: u.clamp(-1.0, 1.0), draw)
 
 
-def edited_code(code0: Tensor, box: BoxOfParameters, edit: str, where: str) -> Tensor:
+def edited_code(code0: Tensor, box: ParameterBox, edit: str, where: str) -> Tensor:
     """Compute a vehicle's code (d,) with one parameter set to another place in the range of the vehicle's kind.
 
     edit: "NAME:PLACE", PLACE from -1 (the lowest of the kind) to 1. where: owner of the code, for messages.

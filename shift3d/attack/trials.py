@@ -25,7 +25,7 @@ Parameters = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
-class Elsewhere:
+class OtherPlace:
     """Another place for the same shape, with equal weight in the loss. stands: code (d,) -> its pose (6,) there."""
 
     problem: AttackProblem
@@ -49,7 +49,7 @@ class Search:
     penalty: Callable[[Tensor], Tensor]
     project: Callable[[Tensor], Tensor]
     draw: Callable[[np.random.Generator, float], Tensor]
-    elsewhere: tuple[Elsewhere, ...] = ()
+    elsewhere: tuple[OtherPlace, ...] = ()
     natural: Callable[[Tensor], bool] | None = None
 
 
@@ -65,7 +65,7 @@ class Family:
     of: Callable[[int], tuple[AttackProblem, Search]]
 
 
-def unusual_first(codes: NDArray[np.float32], known: NDArray[np.float32]) -> tuple[int, ...]:
+def order_by_rarity(codes: NDArray[np.float32], known: NDArray[np.float32]) -> tuple[int, ...]:
     """Return the numbers of codes (N, d), farthest from the mean of the known codes (M, d) first.
 
     A detector has learned least about rare shapes. Source: our choice.
@@ -74,7 +74,7 @@ def unusual_first(codes: NDArray[np.float32], known: NDArray[np.float32]) -> tup
     return tuple(np.argsort(-away, kind="stable").tolist())
 
 
-class Trials:
+class SearchEvaluator:
     """The evaluations of one search, in their order.
 
     Each rendering starts from the last one's hits, and the detector computes only what a move has changed. held:
@@ -97,14 +97,14 @@ class Trials:
         self._lowest = math.inf  # lowest loss of a valid step after the start
         self._code0 = problem.code0
         self._tried: list[tuple[VehicleFrame, Tensor, Tensor]] = []
-        self.turn_to(problem, search)
+        self.switch_kind(problem, search)
         self._incremental = [place.problem.incremental_inference() for place in self._places]
 
-    def turn_to(self, problem: AttackProblem, search: Search) -> None:
+    def switch_kind(self, problem: AttackProblem, search: Search) -> None:
         """Switch to a vehicle of another kind with the same detector and places."""
         self._problem, self._search, self.held = problem, search, search.start.detach()
         # The search's own place, then the others.
-        self._places = [Elsewhere(problem, lambda code: problem.theta0), *search.elsewhere]
+        self._places = [OtherPlace(problem, lambda code: problem.theta0), *search.elsewhere]
         self._warm: list[WarmStart | None] = [None] * len(self._places)
 
     def evaluate(

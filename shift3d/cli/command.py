@@ -12,7 +12,7 @@ from pathlib import Path
 from shift3d.cli.completion import folder_words
 from shift3d.errors import InputError, empty_error
 
-FINISHED = "output folder of a finished sweep"
+FINISHED_SWEEP_HELP = "output folder of a finished sweep"
 """Help text of the argument OUT in most commands."""
 
 
@@ -80,7 +80,7 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
     return values
 
 
-def take_words(key: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
+def pop_values(key: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Split words into the values of ``key=VALUE`` and the other words. Raises: InputError: an empty value."""
     named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
     if not all(value.strip() for value in named):

@@ -9,10 +9,10 @@ from typing import Any, Literal, Self
 import yaml  # type: ignore[import-untyped]
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from shift3d.cli.command import take_words
+from shift3d.cli.command import pop_values
 from shift3d.cli.completion import job_names
 from shift3d.errors import InputError
-from shift3d.settings.folders import files, looked_in
+from shift3d.settings.folders import files, searched_folders_text
 
 
 class JobSpec(BaseModel):
@@ -45,9 +45,9 @@ class JobSpec(BaseModel):
         return [f"runner={self.runner['kind']}", *(f"runner.{key}={value}" for key, value in values.items())]
 
 
-def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
+def pop_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
     """Split words into the job of the last ``job=`` word and all other words. Raises: InputError, see `read_job`."""
-    named, rest = take_words("job", words)
+    named, rest = pop_values("job", words)
     return read_job(named[-1]) if named else None, rest
 
 
@@ -56,7 +56,7 @@ def read_job(name: str) -> JobSpec:
 
     Raises: InputError: the file is missing, unreadable, invalid, or meant for another tool.
     """
-    remedy = f"One of: {', '.join(job_names())}, or the path of a file like them. {looked_in('jobs')}"
+    remedy = f"One of: {', '.join(job_names())}, or the path of a file like them. {searched_folders_text('jobs')}"
     named = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else files("jobs").get(name)
     path = named or Path("jobs") / f"{name}.yaml"
     try:

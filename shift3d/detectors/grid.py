@@ -82,7 +82,7 @@ def cells_of(
     return cell_x, cell_y, inside
 
 
-def side_by_side(parts: Sequence[Pillars], sizes: Sequence[int]) -> Pillars:
+def concatenate_pillars(parts: Sequence[Pillars], sizes: Sequence[int]) -> Pillars:
     """Merge the pillars of several point clouds into the pillars of the concatenated cloud.
 
     sizes: number of points of each cloud. Several pillars, one of each cloud, may have the same cell.

@@ -37,8 +37,8 @@ def detector_of(
     path: weights (None: the shipped weights, or no weights), or an ONNX file, which ignores `precision`.
     module: Python file of the user's own detector. layout: of a foreign detector, see `foreign.layout`.
 
-    Raises: InputError as `load_detector`, `own.load_own`, `onnx_detector.load_onnx` and `foreign.detector.load_foreign`
-        do, or if a required file or config is not given.
+    Raises: InputError as `load_detector`, `load_user_detector`, `load_onnx` and `load_foreign` do, or if a required
+        file or config is not given.
     """
     if name in FOREIGN:
         if path is None or layout is None:
@@ -57,6 +57,6 @@ def detector_of(
         return load_detector(name, path, precision)
     if module is None:
         raise InputError("your own detector needs a file", where="detector", remedy="Give detector.module=FILE.py")
-    from shift3d.detectors.own import load_own
+    from shift3d.detectors.user_detector import load_user_detector
 
-    return load_own(Path(module).expanduser(), None if path is None else Path(path).expanduser(), precision)
+    return load_user_detector(Path(module).expanduser(), None if path is None else Path(path).expanduser(), precision)

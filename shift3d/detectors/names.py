@@ -9,7 +9,7 @@ ForeignName = Literal["openpcdet", "mmdet3d"]
 DetectorName = Literal[TrainedName, ForeignName, "own", "onnx"]
 DETECTOR_NAMES: tuple[str, ...] = get_args(TrainedName)
 """Detectors that shift3d ships."""
-COMPILED = ("pointpillars", "centerpoint")
+ONNX_EXPORTABLE = ("pointpillars", "centerpoint")
 """Detectors that can be exported as ONNX files, see `detectors.compiled`."""
 OWN = "own"
 """The user's own detector, see `detectors.own`."""

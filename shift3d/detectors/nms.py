@@ -79,7 +79,7 @@ def suppress(
     return Detections(boxes[kept], scores[candidates][kept])
 
 
-class SuppressedProposals(Detector):
+class NmsDetector(Detector):
     """Detector whose boxes are its proposals after non-maximum suppression."""
 
     def detect(

@@ -9,18 +9,18 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.grid import full_window
-from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow
+from shift3d.detectors.incremental.inference import IncrementalInference, UncachedInference
 from shift3d.detectors.incremental.pillars import IncrementalPillars
 from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
 from shift3d.detectors.incremental.tokens import IncrementalTokens
-from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic, proposal_indices
+from shift3d.detectors.models.network import DetectorNet, Precision, precision_dtypes, proposal_indices
 from shift3d.detectors.models.pillar_detectors import PillarBackboneNet
 from shift3d.detectors.models.sst import SstNet
-from shift3d.detectors.nms import SuppressedProposals
+from shift3d.detectors.nms import NmsDetector
 from shift3d.errors import InputError
 
 
-class TrainedDetector(SuppressedProposals):
+class TrainedDetector(NmsDetector):
     """Trained network for inference on the CPU.
 
     precision: "float32" (default); "bfloat16" computes the large matrix products with half the bytes (an approximation:
@@ -32,7 +32,7 @@ class TrainedDetector(SuppressedProposals):
         self.name = net.name
         self.precision = precision
         self.grid = net.grid
-        self._dtype = arithmetic(precision)[0]
+        self._dtype = precision_dtypes(precision)[0]
         self._net = net.inference(precision)
         self._cells: SparseBackbone | None = None  # made by the first call of `incremental` that needs it
 
@@ -94,7 +94,7 @@ class TrainedDetector(SuppressedProposals):
         if isinstance(net, SstNet):
             return IncrementalTokens(net, window, self._dtype, self.proposals, self._answer)
         if not (isinstance(net, PillarBackboneNet) and net.is_cellwise and IncrementalPillars.is_aligned(net, window)):
-            return WholeWindow(self, window)
+            return UncachedInference(self, window)
         if self._cells is None:
             self._cells = SparseBackbone(net.backbone, net.heads, self._dtype)
         return IncrementalPillars(net, self._cells, window, self.proposals, self._proposals)

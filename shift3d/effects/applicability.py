@@ -24,54 +24,58 @@ half of a score's permitted difference from its reference; two presets may diffe
 
 
 @dataclass(frozen=True)
-class Need:
+class DataRequirement:
     """Data that an effect needs from a scene. lacking: message if the data are missing; remedy: way to supply them.
     by_reader: the effect applies only to detectors that read more than coordinates."""
 
     present: Callable[[SceneFacts], bool]
     lacking: str
     remedy: str = "Use scenes that carry it, or leave the effect out"
-    by_reader: bool = False
+    needs_reflectance_reader: bool = False
 
 
 _MOVING = "neither firing times with a velocity of the sensor, nor with a speed of the object"
 
-NEEDS: Mapping[str, Need] = {
+NEEDS: Mapping[str, DataRequirement] = {
     # In the order in which the effects act.
-    "origins": Need(lambda scene: scene.origins > 1, "all beams start in one place"),
-    "no_return_beams": Need(lambda scene: scene.no_return_beams > 0, "it does not know its beams without a return"),
-    "rolling_shutter": Need(
+    "origins": DataRequirement(lambda scene: scene.origins > 1, "all beams start in one place"),
+    "no_return_beams": DataRequirement(
+        lambda scene: scene.no_return_beams > 0, "it does not know its beams without a return"
+    ),
+    "rolling_shutter": DataRequirement(
         lambda scene: scene.scan_s > 0.0 and (scene.object_speed_m_s != 0.0 or _ego_moves(scene)),
         _MOVING,
         "Use scenes with firing times; give effects.object_speed_m_s",
     ),
-    "divergence": Need(
+    "divergence": DataRequirement(
         lambda scene: scene.sensor.divergence_rad is not None,
         "it states no divergence of its beams",
         "Give effects.divergence_rad",
     ),
-    "second_returns": Need(
+    "second_returns": DataRequirement(
         lambda scene: scene.returns > 1 and scene.has_pixels, "its points carry no return numbers and pixels"
     ),
-    "reflectance": Need(lambda scene: scene.has_reflectance, "its points carry no reflectance", by_reader=True),
-    "wet_ground": Need(
+    "reflectance": DataRequirement(
+        lambda scene: scene.has_reflectance, "its points carry no reflectance", needs_reflectance_reader=True
+    ),
+    "wet_ground": DataRequirement(
         lambda scene: scene.conditions.rain_mm_h > 0.0 and scene.sensor.limit_range_m is not None,
         "it has no rain, or its sensor's limit is unknown",
         "Give effects.rain_mm_h and effects.limit_range_m",
     ),
-    "fog": Need(
+    "fog": DataRequirement(
         lambda scene: scene.conditions.visibility_m != float("inf"),
         "its visibility is unlimited",
         "Give effects.visibility_m",
     ),
-    "rain": Need(lambda scene: scene.conditions.rain_mm_h > 0.0, "it has no rain", "Give effects.rain_mm_h"),
-    "snow": Need(lambda scene: scene.conditions.snow_mm_h > 0.0, "it has no snow", "Give effects.snow_mm_h"),
-    "ray_drop": Need(
+    "rain": DataRequirement(lambda scene: scene.conditions.rain_mm_h > 0.0, "it has no rain", "Give effects.rain_mm_h"),
+    "snow": DataRequirement(lambda scene: scene.conditions.snow_mm_h > 0.0, "it has no snow", "Give effects.snow_mm_h"),
+    "ray_drop": DataRequirement(
         lambda scene: scene.sensor.limit_range_m is not None,
         "its sensor's limit is unknown",
         "Give effects.limit_range_m",
     ),
-    "range_noise": Need(
+    "range_noise": DataRequirement(
         lambda scene: scene.sensor.range_noise_m is not None, "it states no range noise", "Give effects.range_noise_m"
     ),
 }
@@ -139,7 +143,7 @@ def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFac
 def _applicable(scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
     choices = []
     for name, need in NEEDS.items():
-        if not need.present(scene) or (need.by_reader and not detector.reads_reflectance):
+        if not need.present(scene) or (need.needs_reflectance_reader and not detector.reads_reflectance):
             continue
         reason = effect_named(name).applicability(scene, detector)
         if reason is None:

@@ -153,10 +153,14 @@ class EffectChain:
         returned = beams.carries if no_return is None else beams.carries & ~no_return
         reflectance = self.context.reflectance
         albedo = torch.full((count,), SCENE_ALBEDO, dtype=torch.float64) if reflectance is None else reflectance
-        row, points, ones = torch.arange(count), self._resting().double(), torch.ones(count, dtype=torch.float64)
+        row, points, ones = (
+            torch.arange(count),
+            self._points_before_insertion().double(),
+            torch.ones(count, dtype=torch.float64),
+        )
         return Returns(row, points, self._origins(), beams.directions, none, returned, ones, albedo, reflectance)
 
-    def _resting(self) -> Tensor:
+    def _points_before_insertion(self) -> Tensor:
         """Return the points (N, 3) before the insertion, dtype of the scene's; no-return beams are placed far away."""
         points = torch.from_numpy(self.context.scene.points)
         extra = torch.arange(len(points), len(self.beams))
@@ -164,7 +168,7 @@ class EffectChain:
 
     def _merged(self, core: Rendering, returns: Returns, spent: dict[str, float]) -> Rendering:
         """Write the object's rows over the scene's rows. Rows without a return are placed far away."""
-        background, resting = self._background, self._resting()
+        background, resting = self._background, self._points_before_insertion()
         returned = torch.ones(len(resting), dtype=torch.bool)
         if self.cast.no_return is not None:
             returned = ~self.cast.no_return

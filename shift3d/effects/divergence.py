@@ -12,7 +12,7 @@ from shift3d.effects.base import Effect, EffectContext, FootprintStep, Insertion
 from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.physics.materials import albedo_of
 from shift3d.effects.physics.power import OBJECT_FAR_M, OVERLAP_FROM_M
-from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
+from shift3d.effects.physics.silhouettes import silhouette_rows, sub_rays
 from shift3d.render.beams import Beams
 from shift3d.render.implicit import cosine_of_incidence
 from shift3d.render.render import render
@@ -75,7 +75,7 @@ def strongest(range_m: Tensor, power: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class _Verdict:
+class _ConeReturn:
     """Returns of C beams; all fields (C,).
 
     object_wins: the return is the object's. whole: the whole cone lies on one face. range_m: differentiable.
@@ -88,7 +88,7 @@ class _Verdict:
     albedo: Tensor
 
     @staticmethod
-    def of(range_m: Tensor, light: Tensor, cosine: Tensor, on_object: Tensor) -> _Verdict:
+    def of(range_m: Tensor, light: Tensor, cosine: Tensor, on_object: Tensor) -> _ConeReturn:
         """Select the strongest group of merged echoes. Without any power the return is not the object's.
 
         Args, each (C, 7), for the axis and six sub-rays:
@@ -104,7 +104,7 @@ class _Verdict:
         share = power * ours / torch.where(object_wins, of_object, 1.0)[:, None]
         mean_cosine = torch.where(object_wins, (share * cosine).sum(1), 1.0)
         albedo = (light * ours).sum(1) / mean_cosine
-        return _Verdict(object_wins, ours.all(1), (weight * range_m).sum(1), mean_cosine, albedo)
+        return _ConeReturn(object_wins, ours.all(1), (weight * range_m).sum(1), mean_cosine, albedo)
 
 
 @dataclass(frozen=True)
@@ -115,17 +115,17 @@ class _Footprint:
     angle_rad: float
 
     def __call__(self, returns: Returns, insertion: Insertion) -> Returns:
-        rows = at_silhouettes(insertion, self.angle_rad)
+        rows = silhouette_rows(insertion, self.angle_rad)
         if len(rows) == 0:
             return returns
         verdict = self._verdict(rows, returns, insertion)
         was_hit = insertion.rendering.hit_mask[rows]
         result = _moved(returns, rows, was_hit & verdict.object_wins & ~verdict.whole, verdict)
         known = rows < len(self.context.scene.points)
-        result = self._returned_to_scene(result, rows[was_hit & ~verdict.object_wins & known])
+        result = self._restored_to_scene(result, rows[was_hit & ~verdict.object_wins & known])
         return self._with_gained(result, rows, ~was_hit & verdict.object_wins, verdict, insertion)
 
-    def _verdict(self, rows: Tensor, returns: Returns, insertion: Insertion) -> _Verdict:
+    def _verdict(self, rows: Tensor, returns: Returns, insertion: Insertion) -> _ConeReturn:
         """Cast the sub-rays of rows (C,); the axes are cast already. Differentiable through the ranges."""
         beams, count = insertion.beams, len(rows)
         starts, axis, ends = beams.origins[rows], beams.directions[rows], beams.ranges_m[rows]
@@ -140,9 +140,9 @@ class _Footprint:
         cosine[on_object] = cosine_of_incidence(directions[on_object], points, insertion.metric(), insertion.theta)
         albedo = self._scene_albedo(rows)[:, None].repeat(1, 7)
         albedo[on_object] = albedo_of(points, insertion.theta.detach(), insertion.vehicle)
-        return _Verdict.of(range_m, albedo * cosine / 7.0, cosine, on_object)
+        return _ConeReturn.of(range_m, albedo * cosine / 7.0, cosine, on_object)
 
-    def _returned_to_scene(self, returns: Returns, rows: Tensor) -> Returns:
+    def _restored_to_scene(self, returns: Returns, rows: Tensor) -> Returns:
         """Give rows that fell back to the scene their own points."""
         if len(rows) == 0:
             return returns
@@ -157,7 +157,7 @@ class _Footprint:
         )
 
     def _with_gained(
-        self, returns: Returns, rows: Tensor, gained: Tensor, verdict: _Verdict, insertion: Insertion
+        self, returns: Returns, rows: Tensor, gained: Tensor, verdict: _ConeReturn, insertion: Insertion
     ) -> Returns:
         """Add, in row order, the rows whose cone hits the object although their axis misses it."""
         if not bool(gained.any()):
@@ -199,7 +199,7 @@ def _places(returns: Returns, rows: Tensor) -> Tensor:
     return torch.searchsorted(returns.row, rows)
 
 
-def _moved(returns: Returns, rows: Tensor, moved: Tensor, verdict: _Verdict) -> Returns:
+def _moved(returns: Returns, rows: Tensor, moved: Tensor, verdict: _ConeReturn) -> Returns:
     """Move the rows (C,) of the mask `moved` (C,) to their new ranges."""
     if not bool(moved.any()):
         return returns

@@ -8,7 +8,7 @@ import torch
 
 from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
-from shift3d.effects.physics.power import OBJECT_FAR_M, echo_power, least_power, survival, survival_draws
+from shift3d.effects.physics.power import OBJECT_FAR_M, detection_draws, detection_probability, echo_power, least_power
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.sensor import SensorModel
 
@@ -20,14 +20,14 @@ LEAST_LOSS = 0.01
 
 
 class RayDrop(Effect):
-    """Loss of weak echoes: an echo of the object stays with the probability of its power, `power.survival`.
+    """Loss of weak echoes: an echo of the object stays with the `power.detection_probability` of its power.
 
     power = albedo cos(incidence) / range^2 (`power.echo_power`), least power = 0.9 / limit_range_m^2. A row is kept if
     its uniform draw lies below the probability; for power_spread 0, if the power suffices.
 
     The power is that of clear air: this effect does NOT apply the extinction of fog, rain and snow. The weather effects
-    have decided on it before, with the same draws (`power.survival_draws`). Both tests together therefore lose the same
-    echoes as one test with the weaker of both powers.
+    have decided on it before, with the same draws (`power.detection_draws`). Both tests together therefore lose the
+    same echoes as one test with the weaker of both powers.
 
     Leaves unchanged: points, reflectance, rows off the object or without a return. An infinite limit loses nothing.
 
@@ -47,7 +47,7 @@ class RayDrop(Effect):
             return None
         albedo, cosine, far = torch.tensor([DARKEST_ALBEDO, math.cos(STEEP_RAD), OBJECT_FAR_M], dtype=torch.float64)
         power = echo_power(albedo, cosine, far)
-        lost = 1.0 - float(survival(power, scene.sensor))
+        lost = 1.0 - float(detection_probability(power, scene.sensor))
         if not lost >= LEAST_LOSS:
             return None
         share = float(power) / least_power(limit_m)
@@ -61,11 +61,11 @@ class RayDrop(Effect):
         sensor = context.scene.sensor
         if sensor is None or not _has_limit(sensor):
             return unchanged
-        drawn = survival_draws(context)
+        drawn = detection_draws(context)
 
         def step(returns: Returns) -> Returns:
             power = echo_power(returns.albedo, returns.cosine, returns.range_m.detach())
-            lost = returns.on_object & returns.returned & ~(drawn[returns.row] < survival(power, sensor))
+            lost = returns.on_object & returns.returned & ~(drawn[returns.row] < detection_probability(power, sensor))
             return returns.without(lost) if bool(lost.any()) else returns
 
         return step

@@ -39,7 +39,7 @@ class BreakdownRow:
 
 
 @dataclass(frozen=True)
-class Area:
+class AveragePrecisionDraws:
     """AP or APH of `number` vehicles. drawn: values over resampled frames; empty if fewer than two have vehicles."""
 
     value: float | None
@@ -47,13 +47,13 @@ class Area:
     number: int
 
 
-def overall_areas(frames: Sequence[DetectedFrame]) -> dict[tuple[str, str], Area]:
+def overall_areas(frames: Sequence[DetectedFrame]) -> dict[tuple[str, str], AveragePrecisionDraws]:
     """Compute AP and APH over all vehicles by (measure, view), as in `breakdown`.
 
     The resampled frames do not depend on the detections, so that values of two detectors are paired.
     """
     weights = frame_weights(len(frames))
-    found: dict[tuple[str, str], Area] = {}
+    found: dict[tuple[str, str], AveragePrecisionDraws] = {}
     everything = Group("all", "all")
     for view in VIEWS:
         assigned = [assign(compare(frame, view), IOU, *everything.range_m) for frame in frames]
@@ -85,7 +85,7 @@ def breakdown(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> tuple[Vehi
     return vehicles, rows
 
 
-def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Floats) -> dict[str, Area]:
+def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Floats) -> dict[str, AveragePrecisionDraws]:
     truths = [assignment.comparison.truth for assignment in assignments]
     inside = [group.members(truth.boxes, truth.num_points, truth.kinds) for truth in truths]
     eligible = [truth.counts & (truth.num_points >= LEVELS["LEVEL_1"]) for truth in truths]
@@ -110,7 +110,7 @@ def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Float
     values, number = areas(np.ones(len(counts))), int(numbers.sum())
     # If all vehicles are in one frame, every draw gives the same value.
     drawn = list(zip(*map(areas, weights))) if np.count_nonzero(numbers) > 1 else [(), ()]
-    return {name: Area(value, own, number) for name, value, own in zip(("AP", "APH"), values, drawn)}
+    return {name: AveragePrecisionDraws(value, own, number) for name, value, own in zip(("AP", "APH"), values, drawn)}
 
 
 def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floats) -> Iterator[BreakdownRow]:

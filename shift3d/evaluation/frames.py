@@ -18,7 +18,7 @@ VIEWS: tuple[View, ...] = ("BEV", "3D")
 
 
 @dataclass(frozen=True)
-class Truth:
+class GroundTruth:
     """Ground truth: the labelled vehicles of a frame, in label order.
 
     boxes: (M, 7) float64, scene frame, metres and radians. num_points: (M,) int64, number of points in each box.
@@ -39,14 +39,14 @@ class Truth:
         """(M,) horizontal distance of the centres from the sensor."""
         return range_of(self.boxes)
 
-    def where(self, kept: Flags) -> Truth:
+    def where(self, kept: Flags) -> GroundTruth:
         """Return the vehicles of a mask (M,) bool."""
         texts = [tuple(text for text, own in zip(column, kept) if own) for column in (self.names, self.kinds)]
-        return Truth(self.boxes[kept], self.num_points[kept], self.counts[kept], self.difficulty[kept], *texts)
+        return GroundTruth(self.boxes[kept], self.num_points[kept], self.counts[kept], self.difficulty[kept], *texts)
 
 
 @dataclass(frozen=True)
-class Found:
+class FrameDetections:
     """Detections of a frame.
 
     boxes: (K, 7) float64, scene frame. scores: (K,) float64 in [0, 1]. labelled: (K,) bool; False outside the labelled
@@ -63,10 +63,10 @@ class Found:
         """(K,) horizontal distance of the centres from the sensor."""
         return range_of(self.boxes)
 
-    def at(self, rows: Ints | Flags) -> Found:
+    def at(self, rows: Ints | Flags) -> FrameDetections:
         """Return the detections of the given rows, in their order."""
         heights = np.asarray(self.image_height_px)[rows]
-        return Found(self.boxes[rows], self.scores[rows], self.labelled[rows], heights)
+        return FrameDetections(self.boxes[rows], self.scores[rows], self.labelled[rows], heights)
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class DetectedFrame:
     """Ground truth and detections of one frame of a data set."""
 
     scene: str
-    truth: Truth
-    found: Found
+    truth: GroundTruth
+    found: FrameDetections
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class Comparison:
     overlap: (K, M) float64 IoU in the view. heading_accuracy: (K, M) float64 in [0, 1].
     """
 
-    truth: Truth
-    found: Found
+    truth: GroundTruth
+    found: FrameDetections
     overlap: Floats
     heading_accuracy: Floats
 

@@ -14,7 +14,7 @@ from shift3d.geometry.iou import iou_3d
 
 MATCH_IOU = 0.5
 """Least bird's-eye IoU of a detection and its matched vehicle: lenient, so that large errors stay visible."""
-FOUND_SCORE = 0.3
+MATCH_SCORE = 0.3
 """Least score of a match that counts as found."""
 ERRORS = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 """Errors, detected minus true. x, y: along and across the true vehicle. heading: of the axis, modulo half turns."""
@@ -50,7 +50,7 @@ class VehicleRows:
     @property
     def matched(self) -> Flags:
         """Mask (V,) bool of vehicles with a match of at least FOUND_SCORE."""
-        return np.asarray(self.score >= FOUND_SCORE)
+        return np.asarray(self.score >= MATCH_SCORE)
 
 
 def vehicle_rows(frames: Sequence[DetectedFrame]) -> VehicleRows:

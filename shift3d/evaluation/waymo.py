@@ -117,8 +117,8 @@ def curve_of(table: Floats, num_truth: float) -> PrecisionRecall:
     precision = np.where(right == 0, 1.0, right / np.maximum(right + wrong, tiny))
     heading_precision = np.where(right == 0, 1.0, heading / np.maximum(right + wrong, tiny))
     return PrecisionRecall(
-        area_with_gaps(recall, precision) if num_truth else None,
-        area_with_gaps(recall, heading_precision) if num_truth else None,
+        waymo_area(recall, precision) if num_truth else None,
+        waymo_area(recall, heading_precision) if num_truth else None,
         SCORE_CUTOFFS,
         recall,
         precision,
@@ -142,7 +142,7 @@ def _count(
     return len(rows), float(sum(share[:number][false].tolist())), int((eligible & unmatched).sum()), heading
 
 
-def area_with_gaps(recall: Sequence[float] | Floats, precision: Sequence[float] | Floats) -> float:
+def waymo_area(recall: Sequence[float] | Floats, precision: Sequence[float] | Floats) -> float:
     """Compute the area under a precision-recall curve as Waymo's library does.
 
     Of points with equal recall, the one with the highest precision remains. Precision is interpolated (the maximum at

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from shift3d.errors import InputError
-from shift3d.scenes.sets import place_of
+from shift3d.scenes.sets import independent_group_of
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_final
@@ -39,8 +39,8 @@ class SweepObject:
 
     @property
     def place(self) -> str:
-        """Street or frame of the object; intervals resample places as a whole, see `scenes.sets.place_of`."""
-        return place_of(self.spec.dataset, self.spec.scene)
+        """Street or frame of the object, the unit that intervals resample; see `independent_group_of`."""
+        return independent_group_of(self.spec.dataset, self.spec.scene)
 
     @property
     def settings(self) -> str:

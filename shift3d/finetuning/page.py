@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, Section, Terms
+from shift3d.analysis.html.blocks import Block, Collapsible, Panels, Paragraph, Plot, Section, Terms
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
 from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
@@ -98,7 +98,7 @@ def finetune_page(
         "A detector is attacked on training streets, fine-tuned for one epoch on what was found there, and "
         "measured on streets that neither training nor fine-tuning saw."
     )
-    short: list[Block] = [gains_table(table), Terms(_MEANINGS), Fold("Every seed", [seeds_table(table)])]
+    short: list[Block] = [gains_table(table), Terms(_MEANINGS), Collapsible("Every seed", [seeds_table(table)])]
     made: list[Block] = [Terms(_facts(provenance)), *(Paragraph(command) for command in commands)]
     curves = [
         _panel(f"curve-{index}", str(scene_set), str(objects), own)

@@ -10,15 +10,15 @@ from pathlib import Path
 import pandas as pd
 import pyarrow as pa
 
-from shift3d.analysis.mlflow.measured import mirror_measured
-from shift3d.evaluation.breakdown import Area, overall_areas
+from shift3d.analysis.mlflow.measurement_runs import mirror_measured
+from shift3d.evaluation.breakdown import AveragePrecisionDraws, overall_areas
 from shift3d.finetuning.page import finetune_page, gains_table
-from shift3d.finetuning.rescoring import RESCORED, object_scores, rescored
+from shift3d.finetuning.rescoring import RESCORED, attacked_scores, rescore_objects
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA, finetune_table, natural_rows
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.atomic import write_atomic
 from shift3d.store.tables import read_parquet, write_table
-from shift3d.training.detector.detect_scenes import read_answer
+from shift3d.training.detector.detect_scenes import read_scene_detections
 
 HELD_OUT = ("held_out", "other_vehicles")
 """Folders of sweeps over held-out streets: vanilla's in the fine-tuning's folder, a tuned model's in the model's."""
@@ -28,7 +28,7 @@ _OBJECT = [name for name in RESCORED.names if name != "score"]
 
 
 @dataclass(frozen=True)
-class Tuned:
+class TunedModel:
     """One tuned model. folder: holds its weights, its evaluation and, if it is attacked, its own sweeps."""
 
     model: str
@@ -46,19 +46,19 @@ class Tuned:
         return self.folder / f"scores-{sweep}-{file_hash(self.weights)[:12]}.parquet"
 
 
-def score_held_out(folder: Path, tuned: Tuned) -> None:
+def score_held_out(folder: Path, tuned: TunedModel) -> None:
     """Score vanilla's objects of every held-out sweep with a tuned model.
 
     Stored scores are reused unless the sweep has further objects, as from tasks that were retried.
-    Raises: InputError as `rescored`; a file of scores that is damaged.
+    Raises: InputError as `rescore_objects`; a file of scores that is damaged.
     """
     for sweep in HELD_OUT:
-        file, objects = tuned.scores_file(sweep), object_scores(folder / sweep, tuned.detector).select(_OBJECT)
+        file, objects = tuned.scores_file(sweep), attacked_scores(folder / sweep, tuned.detector).select(_OBJECT)
         if not file.is_file() or not _table(file).select(_OBJECT).equals(objects):
-            write_table(file, rescored(folder / sweep, tuned.detector, tuned.weights))
+            write_table(file, rescore_objects(folder / sweep, tuned.detector, tuned.weights))
 
 
-def write_report(folder: Path, detector: str, models: Sequence[Tuned], commands: Sequence[str]) -> str:
+def write_report(folder: Path, detector: str, models: Sequence[TunedModel], commands: Sequence[str]) -> str:
     """Write finetune.parquet and report.html atomically. Returns the table to print.
 
     commands: commands that made the folder, for the page. The same folder gives the same bytes.
@@ -80,18 +80,18 @@ Model = tuple[str, int | None]
 """Name and seed of a model; seed None for vanilla, the detector before tuning."""
 
 
-def natural_areas(folders: Mapping[Model, Path]) -> dict[Model, dict[tuple[str, str], Area]]:
+def natural_areas(folders: Mapping[Model, Path]) -> dict[Model, dict[tuple[str, str], AveragePrecisionDraws]]:
     """Compute AP and APH of models on the natural scenes common to their last evaluations. folders: of evaluations."""
     # A folder may hold more results, from the same command with more streets.
     tables = [_table(own / "timings.parquet") for own in folders.values()]
     shared = sorted(set.intersection(*(set(table["scene"].to_pylist()) for table in tables)))
     return {
-        key: overall_areas([read_answer(own / "scenes" / f"{name}.npz").frame for name in shared])
+        key: overall_areas([read_scene_detections(own / "scenes" / f"{name}.npz").frame for name in shared])
         for key, own in folders.items()
     }
 
 
-def mirror(folder: Path, models: Sequence[Tuned], uri: str, experiment: str) -> str | None:
+def mirror(folder: Path, models: Sequence[TunedModel], uri: str, experiment: str) -> str | None:
     """Log a fine-tuning to MLflow as a run. Returns None, or why it could not be written."""
     metrics: dict[str, float] = {}
     for row in _table(folder / _TABLE).to_pylist():
@@ -115,17 +115,17 @@ def _params(facts: dict[str, object]) -> dict[str, object]:
     return {"rate": facts["rate"], "steps": facts["steps"], **kept}
 
 
-def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd.DataFrame]:
+def _scores(folder: Path, detector: str, models: Sequence[TunedModel]) -> Iterator[pd.DataFrame]:
     """Yield every model's scores; the objects that vanilla's sweep found also count as adaptive for vanilla."""
     for sweep in HELD_OUT:
-        before = object_scores(folder / sweep, detector).to_pandas()
+        before = attacked_scores(folder / sweep, detector).to_pandas()
         yield _named(before, VANILLA, None, sweep)
         found = before[before["method"] == "adversarial"]
         yield _named(found.assign(method=ADAPTIVE), VANILLA, None, sweep)
         for tuned in models:
             yield _named(_table(tuned.scores_file(sweep)).to_pandas(), tuned.model, tuned.seed, sweep)
             if (tuned.folder / sweep / "final" / "solutions.parquet").is_file():
-                own = object_scores(tuned.folder / sweep, detector, tuned.weights).to_pandas()
+                own = attacked_scores(tuned.folder / sweep, detector, tuned.weights).to_pandas()
                 own = own[own["method"] == "adversarial"]
                 yield _named(own.assign(method=ADAPTIVE), tuned.model, tuned.seed, sweep)
 

@@ -24,7 +24,7 @@ RESCORED = schema_of_columns("rescored", 1, "task_id vehicle place settings meth
 """One row per object. place: data set and street or frame. settings: other settings that distinguish objects."""
 
 
-def object_scores(folder: LocationLike, detector: str, weights: Path | None = None) -> pa.Table:
+def attacked_scores(folder: LocationLike, detector: str, weights: Path | None = None) -> pa.Table:
     """Return the attacked detector's scores of a sweep's objects, as `RESCORED`.
 
     Raises: InputError: as `scored_objects`; the sweep attacked other weights than these.
@@ -35,7 +35,7 @@ def object_scores(folder: LocationLike, detector: str, weights: Path | None = No
     return _table([(row, row.score) for row in found.objects])
 
 
-def rescored(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
+def rescore_objects(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
     """Render a sweep's objects again and score them with other weights of the attacked detector, as `RESCORED`.
 
     On one machine the sweep's own weights reproduce its scores bit for bit.

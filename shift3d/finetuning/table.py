@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 
 from shift3d.analysis.statistics.intervals import mean_interval
-from shift3d.evaluation.breakdown import Area
+from shift3d.evaluation.breakdown import AveragePrecisionDraws
 from shift3d.evaluation.intervals import interval
 from shift3d.store.schemas import schema_of_columns
 
@@ -80,7 +80,9 @@ def _interval(name: str, values: pd.Series, places: pd.Series) -> dict[str, floa
     return _columns(name, found.mean, low, high)
 
 
-def natural_rows(areas: Mapping[tuple[str, int | None], Mapping[tuple[str, str], Area]]) -> list[dict[str, Any]]:
+def natural_rows(
+    areas: Mapping[tuple[str, int | None], Mapping[tuple[str, str], AveragePrecisionDraws]],
+) -> list[dict[str, Any]]:
     """Return AP and APH of every model as rows of `FINETUNE`, gains paired over the same resampled scenes.
 
     areas: `evaluation.breakdown.overall_areas` by model and seed, vanilla included, of the same scenes. A metric that
@@ -102,7 +104,9 @@ def natural_rows(areas: Mapping[tuple[str, int | None], Mapping[tuple[str, str],
     return rows
 
 
-def _mean_area(name: str, areas: Sequence[Area], before: Area | None) -> dict[str, float | None]:
+def _mean_area(
+    name: str, areas: Sequence[AveragePrecisionDraws], before: AveragePrecisionDraws | None
+) -> dict[str, float | None]:
     """Return the mean of areas, minus `before` if given, and its interval over resampled scenes."""
     values = [float(area.value or 0.0) for area in areas]
     value = sum(values) / len(values) - float((before.value if before else 0.0) or 0.0)
@@ -116,5 +120,5 @@ def _columns(name: str, value: float, low: float | None, high: float | None) -> 
     return {name or "value": value, f"{prefix}low": low, f"{prefix}high": high}
 
 
-def _known(area: Area) -> np.ndarray:
+def _known(area: AveragePrecisionDraws) -> np.ndarray:
     return np.array([np.nan if value is None else value for value in area.drawn], dtype=np.float64)

@@ -27,8 +27,8 @@ from shift3d.task.assets import Assets
 from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.spec import TaskSpec
 from shift3d.training.command import WEIGHTS_FOLDER, TrainOptions
-from shift3d.training.compute import subnormals_as_before
-from shift3d.training.detector.drawn_crops import EpochCrops, epoch_steps
+from shift3d.training.compute import restore_subnormals
+from shift3d.training.detector.crop_sampling import EpochCrops, epoch_steps
 from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector.recipes import RECIPES, changed
@@ -94,7 +94,7 @@ def _sector_rad(spec: TaskSpec) -> tuple[float, float]:
 
 RATE = 1e-5
 """Peak learning rate (our choice, for an epoch of some hundred steps; the paper: 1e-7, its optimiser unstated)."""
-BOX_SHARE = 0.1
+BOX_WEIGHT_FACTOR = 0.1
 """Factor on the recipe's weights of boxes and directions (our choice).
 
 In a crop about a hard object their gradient is thirty times that of the class: at full weight the object's score fell
@@ -104,7 +104,7 @@ over 36 steps at `RATE`, at a tenth it rose.
 BATCH = 2  # crops per step, for which `RATE` was chosen
 
 
-@subnormals_as_before()
+@restore_subnormals()
 def fine_tune(
     detector: str, sweep: LocationLike, options: TrainOptions, method: str = "adversarial", report: Report | None = None
 ) -> Path:
@@ -155,7 +155,7 @@ def fine_tune(
     return weights
 
 
-_NOT_OF_A_TUNING = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes")  # the sweep, the start or steps= decide
+_FIXED_FIELDS = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes")  # the sweep, the start or steps= decide
 
 
 def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
@@ -172,15 +172,15 @@ def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
         seed=0,
         warm_up_share=0.3,
         peak_rate=RATE,
-        box_weight=BOX_SHARE * shipped.box_weight,
-        direction_weight=BOX_SHARE * shipped.direction_weight,
+        box_weight=BOX_WEIGHT_FACTOR * shipped.box_weight,
+        direction_weight=BOX_WEIGHT_FACTOR * shipped.direction_weight,
         grown_from="",
         backbone_from="",
         mesh_only_steps=0,
         settle_steps=0,
         statistics_crops=0,
     )
-    for name in _NOT_OF_A_TUNING:
+    for name in _FIXED_FIELDS:
         if name in options.recipe:
             remedy = "Give steps=N" if name == "steps" else f"Leave recipe.{name}= out"
             raise InputError(f"recipe.{name}= means nothing with finetune=", "train", remedy)

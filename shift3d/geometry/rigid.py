@@ -84,7 +84,7 @@ def heading_of(dst_SE3_src: Float) -> Float:
     return result
 
 
-def interpolated(times: NDArray[np.int64], poses: Float, at: NDArray[np.int64]) -> Float:
+def interpolate_poses(times: NDArray[np.int64], poses: Float, at: NDArray[np.int64]) -> Float:
     """Interpolate poses linearly. The poses must lie so close together that a chord can replace an arc.
 
     Args:

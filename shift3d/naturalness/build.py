@@ -15,15 +15,21 @@ import numpy as np
 from tqdm import tqdm
 
 from shift3d.errors import InputError
-from shift3d.naturalness.calibration import FEWEST, Calibration
-from shift3d.naturalness.reference import Member, ReferenceSet, left_out_cm, read_reference, write_reference
+from shift3d.naturalness.calibration import MIN_MEMBERS, Calibration
+from shift3d.naturalness.reference import (
+    Member,
+    ReferenceSet,
+    leave_one_out_distance_cm,
+    read_reference,
+    write_reference,
+)
 from shift3d.naturalness.sizes import published_ranges
 from shift3d.naturalness.sources import Build, ReferenceSource, source_hash
 from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.store.user_cache import program_digest, user_cache
 from shift3d.wording import counted
 
-CALIBRATED = 400
+CALIBRATION_MEMBERS = 400
 """Number of members left out in turn for the calibration; in a larger set they are spread evenly over all members."""
 _PROCESSES, _LEAST_FOR_PROCESSES = 2, 150
 _CODE = ("naturalness", "sdf", "vehicles", "seeding.py")
@@ -37,7 +43,7 @@ def load_reference(source: ReferenceSource, where: str) -> ReferenceSet:
     Raises: InputError as `build_reference`.
     """
     path = reference_file(source)
-    with _alone(path.with_suffix(".lock")):
+    with _build_lock(path.with_suffix(".lock")):
         if path.is_file():
             with contextlib.suppress(InputError):
                 return read_reference(path)
@@ -50,7 +56,7 @@ def load_reference(source: ReferenceSource, where: str) -> ReferenceSet:
 
 
 @contextlib.contextmanager
-def _alone(lock: Path) -> Iterator[None]:
+def _build_lock(lock: Path) -> Iterator[None]:
     """Hold a lock between processes of this machine: one worker builds the set, the others wait and read it."""
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
@@ -72,9 +78,9 @@ def build_reference(source: ReferenceSource, where: str) -> tuple[list[Member], 
     implausible sizes, as from a wrong unit.
     """
     builds = source.members()
-    if len(builds) < FEWEST:
-        what = f"{counted(len(builds), 'member')}, and a percentile of members left out needs {FEWEST}"
-        raise InputError(what, where, remedy=f"Give {FEWEST} vehicles or more")
+    if len(builds) < MIN_MEMBERS:
+        what = f"{counted(len(builds), 'member')}, and a percentile of members left out needs {MIN_MEMBERS}"
+        raise InputError(what, where, remedy=f"Give {MIN_MEMBERS} vehicles or more")
     members = list(tqdm(_built(builds), total=len(builds), desc="building the reference set", mininterval=2.0))
     _check_sizes(members, where)
     return members, _calibration(members)
@@ -108,10 +114,10 @@ def _check_sizes(members: Sequence[Member], where: str) -> None:
 
 
 def _calibration(members: Sequence[Member]) -> Calibration:
-    chosen = np.unique(np.linspace(0, len(members) - 1, min(CALIBRATED, len(members))).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(members) - 1, min(CALIBRATION_MEMBERS, len(members))).round().astype(int))
     reference = _in_memory(members, None)
     with ThreadPoolExecutor(_PROCESSES) as pool:  # most time goes to tree queries, which release the GIL
-        work = pool.map(functools.partial(left_out_cm, reference), chosen.tolist())
+        work = pool.map(functools.partial(leave_one_out_distance_cm, reference), chosen.tolist())
         found = np.array(list(tqdm(work, total=len(chosen), desc="calibrating it", mininterval=2.0)))
     return Calibration(*np.ascontiguousarray(found.T))
 

@@ -14,13 +14,13 @@ NATURAL_RULE = (
     "published vehicle's sizes, and in one piece"
 )
 """Definition of natural, for tables."""
-FEWEST = 21
+MIN_MEMBERS = 21
 """Least number of members for a calibration: with fewer, even the farthest member is within the 95th percentile."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Distances of left-out members to the nearest other member: mean_cm (K,), p95_cm (K,), see `Nearest`."""
+    """Distances of left-out members to the nearest other member: mean_cm (K,), p95_cm (K,), see `NearestMember`."""
 
     mean_cm: NDArray[np.float64]
     p95_cm: NDArray[np.float64]

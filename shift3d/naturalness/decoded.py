@@ -44,10 +44,10 @@ def decoded_surface(field: PointField, resolution: int = RESOLUTION) -> trimesh.
     resolution: nodes per axis of the unit sphere's cube: `COARSEST` times a power of two, plus one.
     Raises: InputError if the field has no surface.
     """
-    return zero_surface(*field_on_grid(_in_the_ball(field), resolution, COARSEST, MARGINS))
+    return zero_surface(*field_on_grid(_restricted_to_unit_ball(field), resolution, COARSEST, MARGINS))
 
 
-def _in_the_ball(field: PointField) -> PointField:
+def _restricted_to_unit_ball(field: PointField) -> PointField:
     """Return the field restricted to the unit ball; outside it a positive function without a zero replaces the field.
 
     For a `Decoder` the hidden units that are off at _SURVEYED random points of the ball are removed, which saves two

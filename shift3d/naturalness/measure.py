@@ -13,7 +13,7 @@ from trimesh.graph import connected_component_labels
 
 from shift3d.errors import InputError
 from shift3d.naturalness.calibration import NATURAL_PERCENTILE
-from shift3d.naturalness.reference import Nearest, ReferenceSet
+from shift3d.naturalness.reference import NearestMember, ReferenceSet
 from shift3d.naturalness.sizes import Sizes, sizes_of
 from shift3d.naturalness.surface import surface_of_mesh, surface_of_points
 
@@ -41,7 +41,7 @@ class NaturalnessMeasure:
     parts may touch without shared corners.
     """
 
-    nearest: Nearest | None
+    nearest: NearestMember | None
     sizes: Sizes | None
     percentile: float
     largest_piece: float | None = None
@@ -64,10 +64,10 @@ class NaturalnessMeasure:
         return self.sizes is not None and self.percentile <= percentile and not self.out_of_range
 
 
-NO_SURFACE = NaturalnessMeasure(None, None, 100.0, 0.0)  # measure of a code without a surface
+NO_SURFACE_MEASURE = NaturalnessMeasure(None, None, 100.0, 0.0)  # measure of a code without a surface
 
 
-class Naturalness:
+class NaturalnessMeter:
     """Naturalness measurement of shapes against a reference set. Not differentiable."""
 
     def __init__(self, reference: ReferenceSet) -> None:
@@ -87,7 +87,7 @@ class Naturalness:
     def of_code(
         self, vehicle: Vehicle, decoder: Decoder | DeepSdfNetwork, code: ArrayLike | Tensor
     ) -> NaturalnessMeasure:
-        """Measure a vehicle's surface for a code (d,); no surface or a code that is not finite gives `NO_SURFACE`.
+        """Measure a vehicle's surface for a code (d,); a code without surface or not finite gives `NO_SURFACE_MEASURE`.
 
         Raises: InputError for a code of another length than the vehicle's.
         """
@@ -98,12 +98,12 @@ class Naturalness:
             what = f"shape {values.shape}, and {vehicle.name}'s has {vehicle.latent_code.shape}"
             raise InputError(what, where="latent code", remedy="Give a code of the same decoder")
         if not np.isfinite(values).all():
-            return NO_SURFACE
+            return NO_SURFACE_MEASURE
         try:
             mesh = decoded_mesh(vehicle, decoder, values)
             return replace(self.of(mesh), largest_piece=largest_piece(mesh))
         except InputError:
-            return NO_SURFACE
+            return NO_SURFACE_MEASURE
 
 
 def largest_piece(mesh: trimesh.Trimesh) -> float:

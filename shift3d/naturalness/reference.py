@@ -36,7 +36,7 @@ def fingerprint(surface: Surface) -> NDArray[np.uint8]:
     return np.asarray(np.rint(surface.nearest_points_m(PROBES, _REACH_M) * (255.0 / _REACH_M)), np.uint8)
 
 
-def likely_nearest(
+def nearest_by_fingerprint(
     own: NDArray[np.uint8], members: NDArray[np.uint8], count: int, left_out: int | None = None
 ) -> NDArray[np.int64]:
     """Return indices of the `count` members (M, P) nearest to `own` (P,) by fingerprint, in order; skip `left_out`."""
@@ -88,7 +88,7 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestMember:
     """Nearest member and its distances in centimetres. Each direction: (mean, 95th percentile) over the points.
 
     to_member: from the shape's points to the member's surface; large where the member lacks a part of the shape.
@@ -140,7 +140,7 @@ class ReferenceSet:
         assert self._calibration is not None
         return self._calibration
 
-    def nearest(self, shape: Surface, left_out: int | None = None, candidates: int = CANDIDATES) -> Nearest:
+    def nearest(self, shape: Surface, left_out: int | None = None, candidates: int = CANDIDATES) -> NearestMember:
         """Return the member whose surface is nearest in the mean of both directions.
 
         Args:
@@ -148,14 +148,14 @@ class ReferenceSet:
             candidates: number of members compared in full; `len(self)` compares all.
         Source: our choice.
         """
-        found = likely_nearest(fingerprint(shape), self.fingerprints, candidates, left_out)
+        found = nearest_by_fingerprint(fingerprint(shape), self.fingerprints, candidates, left_out)
         best = int(min(found, key=lambda number: (_apart_m(shape, self.surface(int(number))), number)))
         member = self.surface(best)
         to_member, from_member = (
             (float(100.0 * apart.mean()), float(100.0 * np.quantile(apart, 0.95)))
             for apart in (member.distances_to(shape.points), shape.distances_to(member.points))
         )
-        return Nearest(best, self.names[best], to_member, from_member)
+        return NearestMember(best, self.names[best], to_member, from_member)
 
 
 def _apart_m(a: Surface, b: Surface) -> float:
@@ -164,7 +164,7 @@ def _apart_m(a: Surface, b: Surface) -> float:
     return float(there.mean() + back.mean()) / 2.0
 
 
-def left_out_cm(reference: ReferenceSet, number: int) -> tuple[float, float]:
+def leave_one_out_distance_cm(reference: ReferenceSet, number: int) -> tuple[float, float]:
     """Compute (mean, 95th percentile) in cm from a member to the nearest other member."""
     nearest = reference.nearest(reference.surface(number), left_out=number)
     return nearest.mean_cm, nearest.p95_cm

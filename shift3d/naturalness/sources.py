@@ -110,10 +110,10 @@ class SetReference:
     folder: str | None = None
 
     def _files(self) -> tuple[Path, Path]:
-        from shift3d.vehicles.sources import set_folder
+        from shift3d.vehicles.sources import vehicle_set_folder
         from shift3d.vehicles.vehicle_set import DECODER_FILE, VEHICLES_FILE
 
-        folder = set_folder(self.folder, "naturalness.folder")
+        folder = vehicle_set_folder(self.folder, "naturalness.folder")
         for name in (VEHICLES_FILE, DECODER_FILE):
             if not (folder / name).is_file():
                 raise InputError(f"holds no {name}", where=str(folder), remedy="Give a folder that training wrote")

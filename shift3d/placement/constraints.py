@@ -75,7 +75,9 @@ def points_near(beams: Beams, theta: Tensor, radius_m: float) -> Tensor:
     return beams.points[near].double()
 
 
-def places_near(points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3, box: Box | None = None) -> Tensor:
+def object_points_near(
+    points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3, box: Box | None = None
+) -> Tensor:
     """Return the points near the object, converted to the object frame, (M', 3).
 
     Args:
@@ -106,14 +108,14 @@ def check(
 
     Args:
         field: metric distance in the object frame. points: ORIGINAL returns near the object.
-        theta, size_m, box: see `places_near`.
+        theta, size_m, box: see `object_points_near`.
         object_points: number of returns on the object after rendering.
         others: (M, 2) centres of other vehicles, scene frame, metres.
 
     Only points under the object (below its centre, within its baseline's length and width) count as contact, because a
     wall or kerb beside the object does not support it.
     """
-    places = places_near(points, theta, size_m, box=box)
+    places = object_points_near(points, theta, size_m, box=box)
     with torch.no_grad():
         metric = field(places).double()
     deepest = float(metric.min()) if len(metric) else float("inf")
@@ -150,7 +152,7 @@ def snap_to_ground(
     """
     snapped = theta.detach().double().clone()
     for _ in range(_LOOKS):
-        places = places_near(points, snapped, size_m, reach_m)
+        places = object_points_near(points, snapped, size_m, reach_m)
         if len(places) == 0:
             return None
         with torch.no_grad():

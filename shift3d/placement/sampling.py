@@ -89,14 +89,14 @@ class NoPlacement:
     rejected: dict[str, int]
 
 
-def refusals(rejected: Mapping[str, int]) -> str:
+def format_refusals(rejected: Mapping[str, int]) -> str:
     """Format the reasons in words with their counts, most frequent first."""
     ordered = sorted(rejected.items(), key=lambda pair: (-pair[1], list(REFUSALS).index(pair[0])))
     return ", ".join(f"{REFUSALS[name]} {count}" for name, count in ordered)
 
 
 @dataclass(frozen=True)
-class Site:
+class PlacementContext:
     """Scene data for the tests of a position.
 
     beams: of the scene. others: (M, 2) centres of the scene's vehicles, which the object must not come near.
@@ -139,7 +139,7 @@ class Site:
 
 
 def place(
-    site: Site,
+    site: PlacementContext,
     sdf: Field,
     vehicle: VehicleFrame,
     rng: np.random.Generator,
@@ -183,7 +183,7 @@ def place(
 
     unseen = []
     for attempt in range(1, limits.attempts + 1):
-        outcome = stand(draw := drawn_place(rng, limits, attempt), thorough=False)
+        outcome = stand(draw := draw_position(rng, limits, attempt), thorough=False)
         if not isinstance(outcome, str):
             return Placement(*outcome, attempt, dict(rejected))
         rejected[outcome] += 1
@@ -197,7 +197,7 @@ def place(
     return NoPlacement(limits.attempts, dict(+rejected))
 
 
-def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int) -> tuple[float, float, float]:
+def draw_position(rng: np.random.Generator, limits: PlacementLimits, attempt: int) -> tuple[float, float, float]:
     """Draw (x, y, yaw) of one attempt; always takes three numbers from rng."""
     halvings = (attempt - 1) * 4 // limits.attempts
     reach = (limits.max_range_m - limits.min_range_m) / 2**halvings
@@ -207,7 +207,11 @@ def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int)
 
 
 def pose_on_ground(
-    draw: tuple[float, float, float], site: Site, size: Tensor, constraints: Constraints, thorough: bool = True
+    draw: tuple[float, float, float],
+    site: PlacementContext,
+    size: Tensor,
+    constraints: Constraints,
+    thorough: bool = True,
 ) -> Tensor | str:
     """Return the pose (6,) of a box on the ground at (x, y, yaw), or a key of `REFUSALS`. thorough: `ground_under`."""
     x, y, yaw = draw

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import PlacementLimits, Site, drawn_place, pose_on_ground, refusals
+from shift3d.placement.sampling import PlacementContext, PlacementLimits, draw_position, format_refusals, pose_on_ground
 from shift3d.render.culling import clip_to_box, object_rays
 
 CAR_SIZE_M = (4.5, 1.8, 1.5)
@@ -38,11 +38,11 @@ class Survey:
     def line(self) -> str:
         """Format the number of free positions and the count of each reason."""
         counts = Counter(self.outcomes)
-        refused = refusals({name: count for name, count in counts.items() if name != FREE})
+        refused = format_refusals({name: count for name, count in counts.items() if name != FREE})
         return f"{counts[FREE]} of {len(self.outcomes)} free" + (f"; {refused}" if refused else "")
 
 
-def survey(site: Site, limits: PlacementLimits, constraints: Constraints) -> Survey:
+def survey(site: PlacementContext, limits: PlacementLimits, constraints: Constraints) -> Survey:
     """Test `limits.attempts` positions with the tests of `sampling.place` that need no rendering.
 
     `place` may still reject a free position for a shape: the shape may touch nothing, overlap something, or get fewer
@@ -51,7 +51,7 @@ def survey(site: Site, limits: PlacementLimits, constraints: Constraints) -> Sur
     size, whole = torch.tensor(CAR_SIZE_M, dtype=torch.float64), replace(limits, attempts=1)
     rng, places, outcomes = np.random.default_rng(0), [], []
     for _ in range(limits.attempts):
-        draw = drawn_place(rng, whole, 1)
+        draw = draw_position(rng, whole, 1)
         places.append(draw[:2])
         on_ground = pose_on_ground(draw, site, size, constraints)
         outcome = on_ground if isinstance(on_ground, str) else FREE
@@ -61,7 +61,7 @@ def survey(site: Site, limits: PlacementLimits, constraints: Constraints) -> Sur
     return Survey(np.array(places), tuple(outcomes))
 
 
-def _aimed(site: Site, draw: tuple[float, float, float], size: Tensor) -> int:
+def _aimed(site: PlacementContext, draw: tuple[float, float, float], size: Tensor) -> int:
     """Count the beams that would hit the box if nothing occluded it."""
     x, y, yaw = draw
     theta = torch.tensor([x, y, site.ground_at(x, y) + float(size[2]) / 2, yaw, 0.0, 0.0], dtype=torch.float64)

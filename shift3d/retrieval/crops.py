@@ -28,8 +28,8 @@ class Crop:
 
     label: row among the scene's labels. box: (7,), scene frame. kind: the data set's name for it. points: number of
     scene points in the box above its floor. surface: (P, 3), at most `KEPT_POINTS` of these, which are fitted. free:
-    (Q, 3) places that beams passed through. sides: see `seen_sides`. range_m: horizontal, to the box's centre. refused:
-    reason against a fit, "" if there is none.
+    (Q, 3) places that beams passed through. sides: see `visible_sides`. range_m: horizontal, to the box's centre.
+    refused: reason against a fit, "" if there is none.
     """
 
     label: int
@@ -70,7 +70,7 @@ def _crop(label: int, box: Array, kind: str, points: Array, origins: Array) -> C
     surface = _spread(own, KEPT_POINTS)
     free = _free_places(starts, ends, inside, half)
     range_m = float(np.hypot(*box[:2]))
-    return Crop(label, box, kind, len(own), surface, free, seen_sides(own, half), range_m, refused)
+    return Crop(label, box, kind, len(own), surface, free, visible_sides(own, half), range_m, refused)
 
 
 def _meets(points: Array, origins: Array, centre: Array, radius_m: float) -> NDArray[np.bool_]:
@@ -120,7 +120,7 @@ def _even(length: int, count: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, max(length - 1, 0), min(count, length)).round().astype(np.int64))
 
 
-def seen_sides(points: Array, half: Array) -> tuple[str, ...]:
+def visible_sides(points: Array, half: Array) -> tuple[str, ...]:
     """Return the sides (front, rear, left, right) that points (N, 3), object frame, lie along. half: (3,) of the box.
 
     A flank is seen if points near it span over a third of the length, an end if points near it span over half of the

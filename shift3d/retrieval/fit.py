@@ -16,7 +16,7 @@ NOISE_M = 0.03  # standard deviation of a surface point: errors of decoder, subs
 CLAMP_M = (0.3, 0.1)
 """Distances beyond which a point's weight falls, at the first step and from the fourth step on."""
 FREE_CLAMP_M = 0.3  # the same for depths of free places: a beam may pass through windows
-COUNTED = 60.0  # largest number of independent points: errors of neighbouring points are alike
+MAX_INDEPENDENT_POINTS = 60.0  # largest number of independent points: errors of neighbouring points are alike
 SHIFT_M, TURN_RAD, STRETCH = 0.05, 0.0175, 0.02
 """Standard deviations of the errors of the box's centre, its heading, and the scale that its length gives."""
 _ENOUGH, _MOST_DAMPING = 1e-3, 1e4
@@ -42,7 +42,7 @@ class Fit:
     uncertainty: Array
 
 
-class _Problem:
+class _FitObjective:
     """Objective of one fit. surface, free: (P, 3), (Q, 3), object frame. scale_m: at no stretch.
 
     rotation: sdf_R_object (3, 3). precision: (k + 5,) of a state: coordinates, shift, turn, stretch. share: (P + Q,)
@@ -56,10 +56,10 @@ class _Problem:
         self.scale_m, self.rotation = scale_m, rotation
         nuisances = np.array([SHIFT_M] * 3 + [TURN_RAD, STRETCH])
         self.precision = np.concatenate((np.ones(subspace.components), nuisances**-2.0))
-        parts = [np.full(len(part), min(1.0, COUNTED / max(len(part), 1))) for part in (surface, free)]
+        parts = [np.full(len(part), min(1.0, MAX_INDEPENDENT_POINTS / max(len(part), 1))) for part in (surface, free)]
         self.share = np.concatenate(parts) / noise_m**2
 
-    def at(self, state: Array) -> _Point:
+    def at(self, state: Array) -> _EvaluatedState:
         """Compute the metric distances of all places, and their derivatives w.r.t. the state."""
         k = self.subspace.components
         turn, scale = state[k + 3], self.scale_m * np.exp(state[k + 4])
@@ -69,15 +69,17 @@ class _Problem:
         normal = at_point @ self.rotation
         by_turn = normal[:, 0] * own[:, 1] - normal[:, 1] * own[:, 0]
         by_stretch = scale * value - np.einsum("ij,ij->i", normal, own)
-        return _Point(state, scale * value, np.column_stack((scale * by_u, -turned(normal, turn), by_turn, by_stretch)))
+        return _EvaluatedState(
+            state, scale * value, np.column_stack((scale * by_u, -turned(normal, turn), by_turn, by_stretch))
+        )
 
-    def objective(self, at: _Point, clamp: float) -> float:
+    def objective(self, at: _EvaluatedState, clamp: float) -> float:
         """Compute Geman and McClure's function of the distances plus the prior; free places count only inside."""
         squared = at.distance**2 * self._counts(at)
         data = float((self.share * squared / (1.0 + squared / self._clamps(clamp) ** 2)).sum())
         return data + float((self.precision * at.state**2).sum())
 
-    def normal_equations(self, at: _Point, clamp: float) -> tuple[Array, Array]:
+    def normal_equations(self, at: _EvaluatedState, clamp: float) -> tuple[Array, Array]:
         """Compute the Gauss-Newton Hessian (k + 5, k + 5) and gradient (k + 5,) of half of the objective."""
         weight = self.share * self._counts(at) * (1.0 + (at.distance / self._clamps(clamp)) ** 2) ** -2.0
         hessian = at.by_state.T @ (weight[:, None] * at.by_state) + np.diag(self.precision)
@@ -86,12 +88,12 @@ class _Problem:
     def _clamps(self, clamp: float) -> Array:
         return np.repeat((clamp, FREE_CLAMP_M), (len(self.surface), len(self.free)))
 
-    def _counts(self, at: _Point) -> Array:
+    def _counts(self, at: _EvaluatedState) -> Array:
         return np.asarray((np.arange(len(at.distance)) < len(self.surface)) | (at.distance < 0.0), np.float64)
 
 
 @dataclass(frozen=True)
-class _Point:
+class _EvaluatedState:
     """State with its distance: (P + Q,) metres, and by_state: (P + Q, k + 5)."""
 
     state: Array
@@ -123,7 +125,7 @@ def fit_shape(
     second-order method (Gauss-Newton with the exact derivative by the coordinates), are our choice.
     """
     rotation = np.eye(3) if sdf_R_object is None else sdf_R_object
-    problem = _Problem(subspace, surface, free, length_m * scale_per_length, rotation, noise_m)
+    problem = _FitObjective(subspace, surface, free, length_m * scale_per_length, rotation, noise_m)
     at, damping, done = problem.at(np.zeros(subspace.components + 5)), 1e-2, 0
     while done < ITERATIONS and damping < _MOST_DAMPING:
         clamp = max(CLAMP_M[1], CLAMP_M[0] * (CLAMP_M[1] / CLAMP_M[0]) ** (done / 3))
@@ -137,7 +139,7 @@ def fit_shape(
     return _fit(problem, at)
 
 
-def _step(problem: _Problem, at: _Point, damping: float, clamp: float) -> tuple[_Point, float]:
+def _step(problem: _FitObjective, at: _EvaluatedState, damping: float, clamp: float) -> tuple[_EvaluatedState, float]:
     """Take a damped step inside the ellipsoid. Returns its end and the decrease of the objective."""
     k = problem.subspace.components
     hessian, gradient = problem.normal_equations(at, clamp)
@@ -147,7 +149,7 @@ def _step(problem: _Problem, at: _Point, damping: float, clamp: float) -> tuple[
     return moved, problem.objective(at, clamp) - problem.objective(moved, clamp)
 
 
-def _fit(problem: _Problem, at: _Point) -> Fit:
+def _fit(problem: _FitObjective, at: _EvaluatedState) -> Fit:
     k = problem.subspace.components
     covariance = np.linalg.inv(problem.normal_equations(at, CLAMP_M[1])[0])
     away = np.abs(at.distance[: len(problem.surface)])

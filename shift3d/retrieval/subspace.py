@@ -66,7 +66,7 @@ class Subspace:
             by_coordinate[layer] = torch.stack(columns, dim=1)
         radius = ball_radius(components)
         whole = Subspace(mean, basis, radius, centre, by_coordinate)
-        return Subspace(mean, basis, radius, centre.sliced(whole._live()), by_coordinate)
+        return Subspace(mean, basis, radius, centre.sliced(whole._active_unit_masks()), by_coordinate)
 
     @property
     def components(self) -> int:
@@ -100,7 +100,7 @@ class Subspace:
         assert isinstance(by_u, Tensor)
         return found.value, found.at_point, by_u
 
-    def _live(self) -> list[Tensor]:
+    def _active_unit_masks(self) -> list[Tensor]:
         """Return a mask per layer of hidden units that are on at some place of the unit ball for some code."""
         rng = generator("subspace survey", self.components)
         places = torch.from_numpy(rng.standard_normal((_PLACES, 3))).float()

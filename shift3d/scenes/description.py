@@ -11,7 +11,7 @@ from shift3d.scenes.scene import Scene
 from shift3d.wording import counted
 
 
-def scene_lines(scene: Scene) -> list[str]:
+def describe_scene(scene: Scene) -> list[str]:
     """Return ``name: value`` lines of the data that a scene has or lacks."""
     away = np.linalg.norm(scene.points.astype(np.float64) - scene.origins, axis=1)[scene.has_beam]
     low, middle, high = np.percentile(away, (5, 50, 95))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.scenes.listing import require_array
+from shift3d.scenes.file_checks import require_array
 
 _NEAR_M, _FAR_M = 4.0, 12.0
 _BAND_M, _LAYER_M, _REFINED_M = 0.35, 0.05, 0.15

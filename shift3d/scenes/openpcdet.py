@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
+from shift3d.scenes.file_checks import (
+    abbreviated_list,
+    names_in,
+    read_array,
+    read_lines,
+    refuse_not_finite,
+    require_metres,
+)
 from shift3d.scenes.ground_map import search_ground_z
-from shift3d.scenes.listing import first_few, names_in, read_array, read_lines, refuse_not_finite, require_metres
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.scenes.scene import Labels, Scene
-from shift3d.scenes.sets import RecordedScenes, from_one_place
+from shift3d.scenes.sets import RecordedScenes, shared_origins
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike
 
@@ -99,7 +106,7 @@ class OpenPcdetScenes(RecordedScenes):
         files = (self.root / "points").names()
         found = [name.removesuffix(".npy") for name in files if name.endswith(".npy")]
         if files and not found:
-            raise InputError(f"no .npy file among {first_few(files)}", self._found_in(), _CONVERT)
+            raise InputError(f"no .npy file among {abbreviated_list(files)}", self._found_in(), _CONVERT)
         if self._split is None:
             return found
         listed_in = self.root / "ImageSets" / f"{self._split}.txt"
@@ -122,7 +129,7 @@ class OpenPcdetScenes(RecordedScenes):
             scene_id=name,
             dataset=self.dataset,
             points=points,
-            origins=from_one_place(points),
+            origins=shared_origins(points),
             ground_z_m=self._ground(points, file),
             labels=self._labels(name, points, sensor),
             reflectance=self._reflectance(values, file),

@@ -36,11 +36,11 @@ def full_reflectance(
     if stated is not None:
         if not 0.0 < stated <= MOST_RAW:
             raise InputError(f"a largest reflectance of {stated}", where, f"Give more than 0, at most {MOST_RAW:g}")
-        _refuse(_misfits(values, stated), values, where, f"the scale 0 to {stated:g}", remedy)
+        _refuse(_off_scale(values, stated), values, where, f"the scale 0 to {stated:g}", remedy)
         return stated
     whole_alone = (values % 1.0 == 0.0).all() and (values > 1.0).any()
-    off_unit = values > 1.0 if whole_alone else _misfits(values, 1.0)
-    off_bytes = _misfits(values, 255.0, whole=True)
+    off_unit = values > 1.0 if whole_alone else _off_scale(values, 1.0)
+    off_bytes = _off_scale(values, 255.0, whole=True)
     if off_unit.any() and off_bytes.any():
         both = off_unit & off_bytes
         scales = "either of the scales 0 to 1 and 0 to 255 (whole numbers)"
@@ -48,7 +48,7 @@ def full_reflectance(
     return 255.0 if off_unit.any() else 1.0
 
 
-def _misfits(values: NDArray[np.floating], full: float, whole: bool = False) -> NDArray[np.bool_]:
+def _off_scale(values: NDArray[np.floating], full: float, whole: bool = False) -> NDArray[np.bool_]:
     """Return the mask (N,) of values off a scale; empty if they are few. whole: only whole numbers may exceed 1.
 
     If hardly any value exceeds 1, fractions show the scale 0 to 1, even if another scale is stated.

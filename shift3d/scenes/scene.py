@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import validate_boxes
+from shift3d.scenes.file_checks import refuse_not_finite, require_array
 from shift3d.scenes.ground_map import GroundMap
-from shift3d.scenes.listing import refuse_not_finite, require_array
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
 WEATHERS = ("dry", "rain", "fog", "snow")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.scenes.listing import refuse_not_finite, require_array
+from shift3d.scenes.file_checks import refuse_not_finite, require_array
 
 LEAST_LIMIT_M, LEAST_SPREAD = 1e-3, 1e-9
 """Smallest limit of a sensor, and smallest width of a soft limit (our choice): smaller values are typing errors."""

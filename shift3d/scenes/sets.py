@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.scenes.listing import first_few
+from shift3d.scenes.file_checks import abbreviated_list
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.street.options import PLAIN, StreetOptions, check_traffic
 from shift3d.store.resolve import LocationLike, as_location
@@ -33,7 +33,7 @@ _BY_DRIVE = ("waymo", "argoverse2")
 """Data sets whose frames are named "DRIVE-TIMESTAMP", with ten frames a second of one drive."""
 
 
-def place_of(dataset: str, scene: str) -> str:
+def independent_group_of(dataset: str, scene: str) -> str:
     """Return the place of a scene, "DATASET/PLACE". Scenes of one place are not independent draws.
 
     All scenes of one street share a place, in any set (such as one of mixed sensors) and with any options (such as
@@ -108,7 +108,7 @@ class RecordedScenes(ABC):
             return wanted
         found = list(islice(self._found(), self._count if wanted is None else None))
         if missing := sorted(set(wanted or ()) - set(found)):
-            remedy = f"Choose from: {first_few(found)}" if found else "Check its name"
+            remedy = f"Choose from: {abbreviated_list(found)}" if found else "Check its name"
             raise InputError(f"no scene {missing[0]!r}", self._found_in(), remedy)
         listed = found if wanted is None else wanted
         if not listed:
@@ -126,7 +126,9 @@ class RecordedScenes(ABC):
     def _require_listed(self, name: str) -> None:
         """Raise InputError if the set has no scene of this name."""
         if name not in self._listed:
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._listed)}")
+            raise InputError(
+                f"unknown scene {name!r}", str(self.root), f"Choose from: {abbreviated_list(self._listed)}"
+            )
 
     def load(self, name: str) -> Scene:
         """Load one scene. Raises InputError: naming the file, the line, row or key in it, and the remedy."""
@@ -152,7 +154,7 @@ class RecordedScenes(ABC):
         """Return the settings and the files of a scene."""
 
 
-def from_one_place(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def shared_origins(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return origins (N, 3) for beams of points (N, 3) that all start at the scene's origin, a view of one row."""
     return np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape)
 
@@ -219,7 +221,7 @@ class StreetScenes:
             raise InputError(f"unknown scene {name!r}", "street scenes", f"Choose from {first} to {last}.")
         return self.split, self.seed, index, self._sensor_of(index), self.options
 
-    def seen_by_own(self, name: str) -> tuple[StreetScenes, str] | None:
+    def with_own_sensor(self, name: str) -> tuple[StreetScenes, str] | None:
         """Return set and name of the same street seen by its own sensor; None if options.beams is None."""
         if self.options.beams is None:
             return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from shift3d.processor import has_fast_bfloat16, has_wide_float32, pad_to_bucket
+from shift3d.processor import has_fast_bfloat16, onednn_float32_is_faster, pad_to_bucket
 
 _LEAST_ROWS = 16
 
@@ -19,7 +19,7 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     """
     plain = x.dtype == torch.float32 and x.device.type == "cpu" and type(x) is Tensor
     if plain and not _is_differentiated(x, weight, bias):
-        if has_wide_float32():
+        if onednn_float32_is_faster():
             # oneDNN's fused ReLU would turn NaN into 0, so torch applies the activations.
             result: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
             return result
@@ -39,12 +39,12 @@ def padded_to_bucket(x: Tensor, *parts: Tensor) -> Tensor:
     if not narrow or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
         return x
     rows = len(x)
-    onednn = x.dtype == torch.bfloat16 or has_wide_float32()
+    onednn = x.dtype == torch.bfloat16 or onednn_float32_is_faster()
     wanted = pad_to_bucket(rows) if onednn or not rows else max(rows, _LEAST_ROWS)
     return torch.nn.functional.pad(x, (0, 0, 0, wanted - rows))
 
 
-def units_on(hidden: Tensor) -> Tensor:
+def active_units(hidden: Tensor) -> Tensor:
     """Mask (width,) of the units that are nonzero in any of the rows (N, width) after a ReLU. A NaN is active."""
     return hidden.amax(0) != 0 if len(hidden) else hidden.new_zeros(hidden.shape[1], dtype=torch.bool)
 

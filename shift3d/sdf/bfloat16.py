@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from shift3d.processor import pad_to_bucket
-from shift3d.sdf.affine import units_on
+from shift3d.sdf.affine import active_units
 
 
 class Bfloat16Field:
@@ -44,7 +44,7 @@ class Bfloat16Field:
     @staticmethod
     def _note(units: Tensor, live: list[Tensor] | None) -> None:
         if live is not None:
-            live.append(units_on(units))
+            live.append(active_units(units))
 
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None) -> Tensor:
         # Rows are padded to a bucket size: bfloat16 fields exist only where oneDNN computes the products.

@@ -51,7 +51,7 @@ class Architecture:
             shapes |= {f"layers.{layer}.weight": (outputs, inputs), f"layers.{layer}.bias": (outputs,)}
         return shapes
 
-    def can_be(self) -> bool:
+    def is_valid(self) -> bool:
         """True if the sizes describe a network: integers, a skip between two layers, and enough width for the skip."""
         if any(type(size) is not int for size in vars(self).values()):
             return False
@@ -189,7 +189,7 @@ def _architecture(metadata: dict[str, str], tensors: int, where: str) -> Archite
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError("no decoder architecture in its metadata", where, "Give a decoder's weights") from error
     # Checked before any allocation of these sizes: they come from the metadata, which the tensors must confirm.
-    if not architecture.can_be() or 2 * (architecture.hidden_layers + 1) != tensors:
+    if not architecture.is_valid() or 2 * (architecture.hidden_layers + 1) != tensors:
         what = f"no decoder with {tensors} tensors is made like {architecture}"
         raise InputError(what, where=where, remedy="Give a decoder's weights")
     return architecture

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from shift3d.processor import has_fast_bfloat16
-from shift3d.sdf.affine import affine, padded_to_bucket, units_on
+from shift3d.sdf.affine import active_units, affine, padded_to_bucket
 from shift3d.sdf.bfloat16 import Bfloat16Field
 from shift3d.sdf.linear_regions import LinearRegion, linear_region
 
 
 @dataclass(frozen=True)
-class Tangent:
+class FieldGradient:
     """Constant value and derivatives of a field at N points, sdf frame, in the network's dtype.
 
     value: (N,) after the tanh. at_point: (N, 3) by the point. at_bias: (N, width) by the bias of each requested layer.
@@ -78,7 +78,7 @@ class Field:
                 break
             hidden = hidden.relu_()
             if live is not None:
-                live.append(units_on(hidden[: len(x_sdf)]))
+                live.append(active_units(hidden[: len(x_sdf)]))
         return torch.tanh(hidden[: len(x_sdf), 0])
 
     def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
@@ -94,7 +94,7 @@ class Field:
         return tuple(layer for layer, bias in enumerate(self.biases) if bias.requires_grad)
 
     @torch.no_grad()
-    def tangent(self, x_sdf: Tensor, layers: Sequence[int] = ()) -> Tangent:
+    def tangent(self, x_sdf: Tensor, layers: Sequence[int] = ()) -> FieldGradient:
         """Compute values and derivatives at points (N, 3), sdf frame, and by some layers' biases, in one backward pass.
 
         A unit exactly at its switch counts as off, as in autograd. Costs two evaluations.
@@ -121,7 +121,7 @@ class Field:
                 at_input, at_point = at_input[:, :-3], at_point + at_input[:, -3:]
             at_output = at_input
         by_bias = tuple(at_bias[layer][:count] for layer in layers)
-        return Tangent(value[:count], (at_point + at_output)[:count], by_bias)
+        return FieldGradient(value[:count], (at_point + at_output)[:count], by_bias)
 
     def sliced(self, live: Sequence[Tensor]) -> Field:
         """Return the field without inactive hidden units: same values wherever only `live` units are active.

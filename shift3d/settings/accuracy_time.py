@@ -12,12 +12,12 @@ from shift3d.settings import messages
 from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import Values
 from shift3d.settings.schema.config import AccuracyConfig, Config
-from shift3d.settings.schema.records import Count, Number, Positive, Record
+from shift3d.settings.schema.records import Count, NonNegativeInt, Positive, Record
 
 _CROP = "crop_m"
 
 
-class MeasuredSetting(Record):
+class FrontierSettingConfig(Record):
     """One measured setting, or one line of the diagram if ``over`` lists values.
 
     name: unique name; with ``over``, the value replaces "{}". method: line of the diagram. preset: base preset; a
@@ -45,11 +45,11 @@ class MeasuredSetting(Record):
     incremental: bool = True
     displaced: bool = True
     steps: Count = 1
-    attack_steps: Number = 0
+    attack_steps: NonNegativeInt = 0
     bfloat16: bool = False
 
 
-class MeasuredCase(Record):
+class FrontierCaseConfig(Record):
     """One vehicle at one distance, in the first scene with room for the vehicle at this distance."""
 
     vehicle: str
@@ -66,11 +66,11 @@ class FrontierConfig(Record):
     quick: names of the settings of ``--quick``. quick_cases: number of its cases, the farthest first.
     """
 
-    settings: Annotated[list[MeasuredSetting], Field(min_length=1)]
-    cases: Annotated[list[MeasuredCase], Field(min_length=1)]
+    settings: Annotated[list[FrontierSettingConfig], Field(min_length=1)]
+    cases: Annotated[list[FrontierCaseConfig], Field(min_length=1)]
     within_m: Positive
     min_object_points: Count
-    descent_steps: Number
+    descent_steps: NonNegativeInt
     warm_steps: Count
     repeats: Count
     seconds: Positive
@@ -80,7 +80,7 @@ class FrontierConfig(Record):
     quick_cases: Count
 
 
-class FrontierSweep(Config):
+class FrontierSweepConfig(Config):
     """Settings of a sweep plus the section ``frontier``."""
 
     frontier: FrontierConfig
@@ -96,15 +96,15 @@ class FrontierSweep(Config):
         return self
 
 
-def validate_frontier(values: Values, where: str) -> FrontierSweep:
+def validate_frontier(values: Values, where: str) -> FrontierSweepConfig:
     """Check composed settings. Raises: InputError naming the wrong field and its valid values."""
     try:
-        return FrontierSweep.model_validate(values)
+        return FrontierSweepConfig.model_validate(values)
     except ValidationError as error:
         raise messages.from_validation(error, where) from error
 
 
-def expand_settings(config: FrontierConfig) -> list[tuple[MeasuredSetting, AccuracyConfig]]:
+def expand_settings(config: FrontierConfig) -> list[tuple[FrontierSettingConfig, AccuracyConfig]]:
     """Expand ``over`` to single settings; return each with its accuracy, in the file's order.
 
     Raises: InputError: a duplicate name, an invalid override of the renderer, a name without "{}", or an unknown name
@@ -128,7 +128,7 @@ def expand_settings(config: FrontierConfig) -> list[tuple[MeasuredSetting, Accur
     return pairs
 
 
-def _written_out(setting: MeasuredSetting, where: str) -> list[MeasuredSetting]:
+def _written_out(setting: FrontierSettingConfig, where: str) -> list[FrontierSettingConfig]:
     from shift3d.render.settings import STANDARD
 
     if not setting.over:

@@ -13,8 +13,8 @@ from pydantic import ValidationError
 
 from shift3d.errors import InputError, empty_error
 from shift3d.settings import messages
-from shift3d.settings.folders import files, looked_in, places, shipped, shown
-from shift3d.settings.names import quoted, text_settings
+from shift3d.settings.folders import files, places, searched_folders_text, shipped, shown
+from shift3d.settings.names import quoted, text_setting_paths
 from shift3d.settings.schema.config import Config
 
 Values = dict[str, Any]
@@ -38,7 +38,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Composed:
+class ComposedSweep:
     """Composed sweep before the expansion of its axes. base: settings with each axis at its first value."""
 
     name: str
@@ -47,7 +47,7 @@ class Composed:
     axes: tuple[Axis, ...]
 
 
-def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) -> Composed:
+def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) -> ComposedSweep:
     """Compose a sweep file with overrides, once for all tasks.
 
     An override with several values (``vehicle=coupe,suv``) is an axis and replaces the sweep file's axis of the same
@@ -61,7 +61,7 @@ def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) ->
     where = f"sweep {name}"
     sweeps = files("sweeps") if own else {name: shipped("sweeps") / f"{name}.yaml"}
     if name not in sweeps:
-        raise messages.choice_error("sweep", name, sweeps, "sweeps/", looked_in("sweeps"))
+        raise messages.choice_error("sweep", name, sweeps, "sweeps/", searched_folders_text("sweeps"))
     for key, equals, value in (override.partition("=") for override in overrides):
         if equals and not value.strip():
             raise empty_error(key, where)  # a text setting would accept the empty value
@@ -69,7 +69,9 @@ def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) ->
     stated, params = compose([])
     axes_stated = [f"{key}={value}" for key, value in params.items()]
     small = _small(stated.get(_SMALL), parse(list(overrides)), where)
-    listed, requested = ([quoted(word, text_settings(Config)) for word in words] for words in (axes_stated, overrides))
+    listed, requested = (
+        [quoted(word, text_setting_paths(Config)) for word in words] for words in (axes_stated, overrides)
+    )
     words = [*listed, *small, *requested]
     axis_texts, fixed = _split(parse(words), where)
     first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
@@ -87,7 +89,7 @@ def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) ->
             values = tuple(parse([f"{key}={text}"])[0].value() for text in texts)
         _refuse_interpolations(list(values), where, key)
         axes.append(Axis(key, tuple(texts), values, is_group))
-    return Composed(name, tuple(overrides), base, tuple(axes))
+    return ComposedSweep(name, tuple(overrides), base, tuple(axes))
 
 
 def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
@@ -101,7 +103,7 @@ def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
         remedy = "Cut it by hand, as with scenes.count=4"
         raise InputError("it has no small size", where=where, remedy=remedy)
     # A text is written as in an override, where 1,10 is two values; JSON of other values is valid YAML and Hydra.
-    texts = text_settings(Config)
+    texts = text_setting_paths(Config)
     return [
         quoted(f"{key}={value}", texts) if isinstance(value, str) else f"{key}={json.dumps(value)}"
         for key, value in listed.items()
@@ -211,7 +213,7 @@ def _check_options(group: str, override: Any, where: str) -> None:
     for name in value if isinstance(value, list) else [value]:
         if options and not isinstance(name, str | QuotedString):
             written = "null" if name is None else str(name)
-            raise messages.choice_error(group, written, options, where, looked_in(f"conf/{group}"))
+            raise messages.choice_error(group, written, options, where, searched_folders_text(f"conf/{group}"))
 
 
 def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:

@@ -6,11 +6,11 @@ import itertools
 from collections.abc import Iterator
 
 from shift3d.errors import InputError
-from shift3d.settings.compose import Composed, Values, validate
+from shift3d.settings.compose import ComposedSweep, Values, validate
 from shift3d.settings.schema.config import Config
 
 
-def expand(composed: Composed) -> Iterator[Config]:
+def expand(composed: ComposedSweep) -> Iterator[Config]:
     """Yield checked settings of every combination. The last axis varies fastest, as in Hydra's BasicSweeper.
 
     Raises: InputError: the schema refuses a combination, or a setting of the runner or tracking is an axis.

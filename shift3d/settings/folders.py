@@ -40,7 +40,7 @@ def own_folders() -> list[Path]:
     return [folders[0] for folders in map(places, ("sweeps", "conf")) if len(folders) > 1 and folders[0].is_dir()]
 
 
-def looked_in(path: str) -> str:
+def searched_folders_text(path: str) -> str:
     """Format the searched folders for an error: ``Looked in sweeps and /usr/...``. Raises as :func:`shipped`."""
     return f"Looked in {' and '.join(map(shown, places(path)))}"
 

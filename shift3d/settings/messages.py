@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
-from shift3d.settings.folders import files, looked_in, shipped, shown
+from shift3d.settings.folders import files, searched_folders_text, shipped, shown
 from shift3d.settings.renamed import renamed_error
 
 # Groups with a discriminated union, whose tag pydantic inserts into field paths.
@@ -20,7 +20,7 @@ _UNIONS = ("scenes", "vehicle", "naturalness", "runner", "tracking")
 def choice_error(what: str, value: str, allowed: Iterable[str], where: str, looked: str = "") -> InputError:
     """Return the error for an unknown name: ``Did you mean 'suv'? One of: coupe, suv`` (a hint only if one is close).
 
-    looked: searched folders, from :func:`~.folders.looked_in`.
+    looked: searched folders, from :func:`~.folders.searched_folders_text`.
     """
     names = list(allowed)
     close = difflib.get_close_matches(value, names, n=1, cutoff=0.5)
@@ -90,7 +90,7 @@ def from_hydra(
         group, _, name = match.group(1).rpartition("/")
         if (renamed := renamed_error(group, name)) is not None:
             return renamed
-        return choice_error(group or "sweep", name, options(group), where, looked_in(f"conf/{group}"))
+        return choice_error(group or "sweep", name, options(group), where, searched_folders_text(f"conf/{group}"))
     if match := re.search(r"Could not override '([^']+)'", text):
         key, beside = match.group(1), _siblings(match.group(1), config or {})
         if (renamed := renamed_error(key)) is not None:

@@ -40,7 +40,7 @@ Name = Annotated[str, BeforeValidator(_refuse_number)]
 
 
 @functools.cache
-def text_settings(model: type[BaseModel]) -> frozenset[str]:
+def text_setting_paths(model: type[BaseModel]) -> frozenset[str]:
     """Return the paths of a schema's settings that are texts or lists of texts."""
     found = set()
     for name, field in model.model_fields.items():
@@ -49,7 +49,7 @@ def text_settings(model: type[BaseModel]) -> frozenset[str]:
             if kind is str:
                 found.add(key)
             elif isinstance(kind, type) and issubclass(kind, BaseModel):
-                found |= {f"{key}.{inner}" for inner in text_settings(kind)}
+                found |= {f"{key}.{inner}" for inner in text_setting_paths(kind)}
     return frozenset(found)
 
 

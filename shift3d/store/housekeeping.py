@@ -87,7 +87,7 @@ def collect(garbage: Garbage) -> None:
 
 
 @dataclass(frozen=True)
-class Compacted:
+class CompactionResult:
     """Result of a compaction. entries, segments: numbers before it. removed: number of files, log entries included."""
 
     entries: int
@@ -96,7 +96,7 @@ class Compacted:
     removed: int
 
 
-def compact(folder: LocationLike) -> Compacted:
+def compact(folder: LocationLike) -> CompactionResult:
     """Merge all commits into one log entry and one segment per table. Row order and the bytes of final/ do not change.
 
     The compaction opens a session, so a running driver is stopped at its next commit. The new entry replaces the old
@@ -113,4 +113,4 @@ def compact(folder: LocationLike) -> Compacted:
     entry = log.compact(lambda name: committed_rows(folder, before, name))
     garbage = find_garbage(folder)
     collect(garbage)
-    return Compacted(len(entries), sum(len(e.segments) for e in entries), entry, len(garbage.files))
+    return CompactionResult(len(entries), sum(len(e.segments) for e in entries), entry, len(garbage.files))

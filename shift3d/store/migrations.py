@@ -76,7 +76,7 @@ def _searched_by_descent(name: str, table: pa.Table) -> pa.Table:
     return table.add_column(place + 1, pa.field("search", pa.string(), nullable=False), words)
 
 
-def _drawn_as_their_own(name: str, table: pa.Table) -> pa.Table:
+def _to_version_10(name: str, table: pa.Table) -> pa.Table:
     """Convert to version 10: it searches over kinds; older codes are drawn in the frame of the task's vehicle."""
     return _with_nulls(table, "replicate", {"drawn_as": pa.string()}) if name == "solutions" else table
 
@@ -97,7 +97,7 @@ _ENTRIES: Mapping[int, Callable[[Values], Values]] = {5: _ids_as_text}
 _TABLES: Mapping[int, Callable[[str, pa.Table], pa.Table]] = {
     7: _searched_by_descent,
     8: _judged_by_sides,
-    9: _drawn_as_their_own,
+    9: _to_version_10,
     10: _random_of_equal_budget,
 }
 

@@ -12,9 +12,9 @@ _FILE = tomllib.loads((Path(__file__).parent / "tables.toml").read_text(encoding
 SCHEMA_VERSION: int = _FILE["version"]
 _GROUPS: dict[str, str] = _FILE["groups"]
 _COLUMNS = {name: text.partition(", ") for name, text in _FILE["columns"].items()}
-MEANINGS: dict[str, str] = {name: meaning for name, (_, _, meaning) in _COLUMNS.items()}
+COLUMN_MEANINGS: dict[str, str] = {name: meaning for name, (_, _, meaning) in _COLUMNS.items()}
 """Meaning of each column, by name."""
-ABOUT: dict[str, str] = {name: table["about"] for name, table in _FILE["tables"].items()}
+TABLE_DESCRIPTIONS: dict[str, str] = {name: table["about"] for name, table in _FILE["tables"].items()}
 """Description of each table, by name."""
 
 
@@ -61,7 +61,7 @@ SEGMENTS = (
 )
 FOLLOW_UPS = ("verification", "vehicle_pool", "retrieved", "patterns")
 """Tables that separate commands make from a finished sweep."""
-SWEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
+SWEEP_TABLES = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
 """Tables that the sweep itself makes."""
 # Tables computed from the plan and the scores at the end of a sweep.
 AGGREGATES = tuple(name for name in _FILE["tables"] if name not in SEGMENTS)

@@ -32,7 +32,7 @@ def user_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shift3d"
 
 
-def kept_file(folder: str, *made_of: object) -> Path:
+def cache_file(folder: str, *made_of: object) -> Path:
     """Return the cache file of a result. made_of: its inputs, see `digest_of`; this machine's `rounding` is added."""
     return user_cache() / folder / digest_of(*made_of, rounding())
 
@@ -42,8 +42,8 @@ def digest_of(*made_of: object) -> str:
     return _digest(repr(made_of).encode())
 
 
-def read_kept(file: Path) -> bytes | None:
-    """Return the content that `write_kept` wrote; None if the file is absent, torn or changed."""
+def read_cached(file: Path) -> bytes | None:
+    """Return the content that `write_cached` wrote; None if the file is absent, torn or changed."""
     try:
         digest, _, content = file.read_bytes().partition(b"\n")
     except OSError:
@@ -51,14 +51,14 @@ def read_kept(file: Path) -> bytes | None:
     return content if digest.decode(errors="replace") == _digest(content) else None
 
 
-def keep(file: Path, content: bytes) -> None:
+def cache_result(file: Path, content: bytes) -> None:
     """Write a recomputable result with its digest. An unwritable folder is ignored."""
     with contextlib.suppress(InputError, OSError):
-        write_kept(file, content)
+        write_cached(file, content)
 
 
-def write_kept(file: Path, content: bytes) -> None:
-    """Write like `keep`, for results that cost work. Raises: InputError: the disk is full or not writable."""
+def write_cached(file: Path, content: bytes) -> None:
+    """Write like `cache_result`, for results that cost work. Raises: InputError: the disk is full or not writable."""
     write_atomic(file, _digest(content).encode() + b"\n" + content)
 
 

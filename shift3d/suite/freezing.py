@@ -16,12 +16,12 @@ import shift3d
 from shift3d.attack.objective import object_box
 from shift3d.errors import InputError
 from shift3d.progress_bar import progress_bar
-from shift3d.scenes.sets import place_of
+from shift3d.scenes.sets import independent_group_of
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import POSE_COLUMNS
-from shift3d.suite.choosing import Choice, Chosen, choose_solutions
 from shift3d.suite.frozen import BOX, FrozenSuite, background_file, blake2b, manifest_bytes, read_manifest, read_suite
+from shift3d.suite.selection import Selection, SelectionRule, select_solutions
 from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.task.assets import Assets, load_assets, score_precision
@@ -44,7 +44,7 @@ _LEFT_OUT = "left_out"  # role in temporary files of an object whose score diffe
 
 
 @dataclass(frozen=True)
-class Frozen:
+class FreezeResult:
     """Result of a freezing. left_out: number of solutions by reason. unverified: number of hard objects never verified.
     largest_difference: between a score of the sweep and the frozen object's; None: no object was scored again."""
 
@@ -55,7 +55,7 @@ class Frozen:
 
 
 @dataclass
-class _Writing:
+class _SuiteWriter:
     """Suite being written. key: digest of sweep, choice and frames. digests: of its files. sets: scene sets in use."""
 
     to: Location
@@ -90,19 +90,21 @@ class _Writing:
         return self.sets.index(dict(settings))
 
 
-def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: Frames = "copied") -> Frozen:
+def freeze_suite(
+    sweep: LocationLike, to: LocationLike, choice: SelectionRule, frames: Frames = "copied"
+) -> FreezeResult:
     """Freeze hard objects of a finished sweep, and their controls, into a folder or bucket.
 
     The same sweep and choice give the same bytes, even if killed and resumed. ``suite.json`` is written last: without
     it the same call resumes scene by scene, with it nothing is written.
     frames: "copied" stores the scenes' points. "referenced" stores their origin, and of recorded frames only the points
     that an object moved: the gate then needs the data set, or generates the streets again.
-    Raises: InputError as `choose_solutions`; other content in `to`; a scene, vehicle or detector not the sweep's.
+    Raises: InputError as `select_solutions`; other content in `to`; a scene, vehicle or detector not the sweep's.
     Source: our choice: the paper has no gate.
     """
     sweep, to = as_location(sweep), as_location(to)
     plan = read_plan(sweep)
-    chosen = choose_solutions(sweep, choice)
+    chosen = select_solutions(sweep, choice)
     scores = blake2b((sweep / "final" / "scores.parquet").read_bytes())
     made = {"sweep": plan.sweep, "spec_hash": plan.spec_hash, "scores": scores, **asdict(choice)}
     if (to / "suite.json").is_file():
@@ -110,11 +112,11 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
         if (manifest.get("made"), manifest.get("frames")) != (made, frames):
             raise InputError("holds another suite", str(to), "Give another to=DIR")
         _forget_scenes(to)
-        return Frozen(read_suite(to), chosen.left_out, chosen.unverified, None)
+        return FreezeResult(read_suite(to), chosen.left_out, chosen.unverified, None)
     if any(name not in _UNFINISHED and not name.startswith(_SCENE) for name in to.names()):
         raise InputError("is no suite, and not empty", str(to), "Give another to=DIR")
     to.check_writable("to=DIR")
-    writing = _Writing(to, frames, blake2b(json.dumps([made, frames], sort_keys=True).encode()))
+    writing = _SuiteWriter(to, frames, blake2b(json.dumps([made, frames], sort_keys=True).encode()))
     objects, left_out, largest = _objects(plan, chosen, writing)
     if all(row["role"] == "control" for row in objects):
         raise InputError("no object has the score that the sweep reports", str(sweep), "Run the sweep again")
@@ -123,7 +125,7 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     manifest = _manifest(plan, made, objects, writing)
     (to / "suite.json").write_atomic(manifest_bytes(manifest))
     _forget_scenes(to)
-    return Frozen(read_suite(to), chosen.left_out | left_out, chosen.unverified, largest)
+    return FreezeResult(read_suite(to), chosen.left_out | left_out, chosen.unverified, largest)
 
 
 def _forget_scenes(to: Location) -> None:
@@ -134,10 +136,12 @@ def _forget_scenes(to: Location) -> None:
 
 def number_of_scenes(objects: Iterable[Mapping[str, Any]]) -> int:
     """Count the independent scenes of objects, as a gate does: a street seen by two sensors counts once."""
-    return len({place_of(row["dataset"], row["scene"]) for row in objects})
+    return len({independent_group_of(row["dataset"], row["scene"]) for row in objects})
 
 
-def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]], writing: _Writing) -> dict[str, Any]:
+def _manifest(
+    plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]], writing: _SuiteWriter
+) -> dict[str, Any]:
     return {
         "version": SUITE_VERSION,
         "shift3d": shift3d.__version__,
@@ -154,13 +158,13 @@ def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]]
 
 
 def _objects(
-    plan: Plan, chosen: Chosen, writing: _Writing
+    plan: Plan, chosen: Selection, writing: _SuiteWriter
 ) -> tuple[list[dict[str, Any]], dict[str, int], float | None]:
     """Return rows of ``objects.parquet``, scene by scene, a control before its hard objects; the number left out by
     reason; the largest difference of scores, None if every scene was read from its temporary file."""
     known = chosen.scores[chosen.scores["scored_by"] == chosen.scores["detector"]]
     keys = zip(known["task_id"], known["method"], known["replicate"], strict=True)
-    freezing = _Freezing(plan, writing, dict(zip(keys, known["score"], strict=True)), chosen.controls)
+    freezing = _SceneFreezer(plan, writing, dict(zip(keys, known["score"], strict=True)), chosen.controls)
     objects: dict[str, dict[str, Any]] = {}
     left_out: Counter[str] = Counter()
     scenes = chosen.hard.groupby(["dataset", "scene"], sort=True)  # so that each scene is loaded once
@@ -176,12 +180,12 @@ def _objects(
 
 
 @dataclass
-class _Freezing:
+class _SceneFreezer:
     """Freezing, scene by scene. reported: scores by task, method and replicate. largest: difference from these. held:
     assets by index in the plan. seen: rows and scores of controls, which several tasks of a scene share."""
 
     plan: Plan
-    writing: _Writing
+    writing: _SuiteWriter
     reported: Mapping[tuple[str, str, int], float]
     controls: pd.DataFrame
     largest: float | None = None
@@ -239,7 +243,7 @@ class _Freezing:
 
 
 def _object(
-    spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, writing: _Writing
+    spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, writing: _SuiteWriter
 ) -> tuple[dict[str, Any], float]:
     """Return a solution's row without its role, and the attacked detector's score."""
     found = render_solution(spec, solution, assets)
@@ -254,7 +258,7 @@ def _object(
     row = {
         "object_id": blake2b(b"".join(parts)),
         "task_id": spec.task_id,
-        "vehicle": assets.drawn_vehicle(spec, solution).name,
+        "vehicle": assets.rendered_vehicle(spec, solution).name,
         **{name: getattr(spec, name) for name in ("scene", "dataset", "mode")},
         **{name: solution[name] for name in ("method", "replicate", "pitch_rad", "roll_rad")},
         "background": background,

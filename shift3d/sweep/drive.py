@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 from shift3d.errors import InputError
 from shift3d.processor import configure_runtime
 from shift3d.settings.schema.config import RunnerConfig
-from shift3d.signals import stop_signals
+from shift3d.signals import handle_stop_signals
 from shift3d.store.location import Location
 from shift3d.store.log import CommitLog, TakenOverError
 from shift3d.store.log_entries import Commit
@@ -30,14 +30,14 @@ from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.task_ids import read_task_scene
-from shift3d.sweep.planning.tasks import Tasks, numbered
+from shift3d.sweep.planning.tasks import Tasks, distinct_with_indices
 from shift3d.sweep.results.commit import Committer
 from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
-from shift3d.sweep.results.reuse import take_finished
+from shift3d.sweep.results.reuse import copy_finished_tasks
 from shift3d.sweep.status import State, StatusWriter
 
 
-def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
+def execution_order(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
     """Order plan positions scene by scene, and pose before shape attacks, within each run of tasks of one vehicle.
 
     A pose attack takes about two thirds of a shape attack's time and makes no mesh, so the first result of a sweep
@@ -48,12 +48,12 @@ def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
 
     Source: our choice.
     """
-    _, vehicle = numbered(template.vehicle for template in tasks.templates)
+    _, vehicle = distinct_with_indices(template.vehicle for template in tasks.templates)
     is_shape = np.array([template.mode == "shape" for template in tasks.templates], dtype=np.int64)
     template = tasks.template[positions]
     runs = np.cumsum(np.diff(vehicle[template], prepend=-1) != 0)
     # Scenes are numbered in plan order. Task scenes that differ only in their transfer scenes are one scene.
-    _, number = numbered(read_task_scene(text)[:2] for text in tasks.task_scenes.to_pylist())
+    _, number = distinct_with_indices(read_task_scene(text)[:2] for text in tasks.task_scenes.to_pylist())
     _, first, scene = np.unique(number[tasks.task_scene[positions]], return_index=True, return_inverse=True)
     return positions[np.lexsort((is_shape[template], first[scene], runs))]
 
@@ -106,7 +106,7 @@ def run_sweep(
     folder = as_location(folder)
     open_folder(folder, plan)
     log = CommitLog(folder, plan.spec_hash)
-    reused = sum(take_finished(log, plan, other) for other in reuse)
+    reused = sum(copy_finished_tasks(log, plan, other) for other in reuse)
     again = log.quarantined() if retry_quarantined else set()
     left = plan.tasks.without(log.finished() - again)
     status = StatusWriter(log, len(plan.tasks))
@@ -119,7 +119,7 @@ def run_sweep(
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
             committer = Committer(log, runner_config.commit_seconds)
-            came = _run(runner, cheapest_first(plan.tasks, left), committer, progress, status, rule)
+            came = _run(runner, execution_order(plan.tasks, left), committer, progress, status, rule)
     done, quarantined = log.done(), log.quarantined()
     # A quarantined task that was to be retried, but was not, is still quarantined by the earlier run.
     complete = len(done) + len(quarantined) == len(plan.tasks) and (came >= len(left) or not again)
@@ -170,7 +170,7 @@ def _run(
     came = 0
     failure: InputError | None = None
     stop = _Stop(progress)
-    with stop_signals(stop.handle):
+    with handle_stop_signals(stop.handle):
         try:
             for outcome in stop.waited(runner.run(left, stop.first)):
                 committer.add(outcome)

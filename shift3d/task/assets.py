@@ -14,7 +14,7 @@ from shift3d.detectors.base import Detector
 from shift3d.detectors.loading import detector_of
 from shift3d.errors import InputError
 from shift3d.naturalness.build import load_reference
-from shift3d.naturalness.measure import Naturalness, NaturalnessMeasure
+from shift3d.naturalness.measure import NaturalnessMeasure, NaturalnessMeter
 from shift3d.naturalness.sources import reference_source, source_hash
 from shift3d.render.beams import Beams
 from shift3d.render.field.sdf_grid import SdfGrid
@@ -28,8 +28,8 @@ from shift3d.settings.catalogue.reading import vehicle_source
 from shift3d.settings.renamed import current_settings
 from shift3d.settings.schema.scenes import scene_config, scene_set
 from shift3d.task.exchange import AssetsSpec
-from shift3d.task.kept_grids import kept_grid
-from shift3d.task.kept_measures import kept_measures
+from shift3d.task.grid_cache import cached_grid
+from shift3d.task.measure_cache import cached_measures
 from shift3d.task.spec import TaskSpec
 from shift3d.training.processes import threads
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
@@ -73,7 +73,7 @@ class Assets:
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
         """Return a task's scene and its beams. Raises: InputError: unknown name, bad frame, or not as planned."""
         scene, beams, found = self._kept_scene(self.scenes, spec.scene)
-        require_planned(f"scene {spec.scene}", spec.scene_hash, found)
+        require_planned_hash(f"scene {spec.scene}", spec.scene_hash, found)
         return scene, beams
 
     def _kept_scene(self, scenes: SceneSet, name: str) -> tuple[Scene, Beams, str]:
@@ -90,7 +90,7 @@ class Assets:
 
         A street is seen by its own sensor, so that placements are the same under any beams. Raises: as `scene`.
         """
-        own = self.scenes.seen_by_own(spec.scene) if isinstance(self.scenes, StreetScenes) else None
+        own = self.scenes.with_own_sensor(spec.scene) if isinstance(self.scenes, StreetScenes) else None
         if own is None:
             return *self.scene(spec), spec.scene_hash
         return self._kept_scene(*own)
@@ -121,17 +121,17 @@ class Assets:
         vehicle = self.vehicles.vehicle(name)
         if name not in self._vehicle_hashes:
             self._vehicle_hashes[name] = vehicle_hash(vehicle)
-        require_planned(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
+        require_planned_hash(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
         return vehicle
 
-    def naturalness(self, spec: TaskSpec) -> Naturalness | None:
+    def naturalness(self, spec: TaskSpec) -> NaturalnessMeter | None:
         """Return the naturalness measurement against the task's reference set; None if the task measures none.
 
         Raises: InputError: a set that cannot be made, or content that differs from the plan.
         """
         if not spec.reference_hash or self.reference is None:
             return None
-        require_planned("the reference set", spec.reference_hash, self._reference_hash)
+        require_planned_hash("the reference set", spec.reference_hash, self._reference_hash)
         return self._naturalness
 
     @functools.cached_property
@@ -143,8 +143,8 @@ class Assets:
         return source_hash(reference_source(self.reference or {}))
 
     @functools.cached_property
-    def _naturalness(self) -> Naturalness:
-        return Naturalness(load_reference(reference_source(self.reference or {}), "naturalness"))
+    def _naturalness(self) -> NaturalnessMeter:
+        return NaturalnessMeter(load_reference(reference_source(self.reference or {}), "naturalness"))
 
     def naturalness_of(self, spec: TaskSpec, name: str) -> NaturalnessMeasure | None:
         """Return the naturalness of an unchanged vehicle of the task's set; measured on first use."""
@@ -160,10 +160,10 @@ class Assets:
             return {}
         names = self.vehicles.kinds()
         if not self._own_naturalness.keys() >= set(names):
-            self._own_naturalness |= kept_measures(self.vehicles, self.decoder, measures, self._reference_hash)
+            self._own_naturalness |= cached_measures(self.vehicles, self.decoder, measures, self._reference_hash)
         return {name: self._own_naturalness[name] for name in names}
 
-    def drawn_vehicle(self, spec: TaskSpec, solution: Mapping[str, Any]) -> Vehicle:
+    def rendered_vehicle(self, spec: TaskSpec, solution: Mapping[str, Any]) -> Vehicle:
         """Return the vehicle whose frame renders a solution; not the task's own if the search switched kind."""
         own, name = self.vehicle(spec), solution.get("drawn_as")
         return self.vehicles.vehicle(name) if isinstance(name, str) and name != own.name else own
@@ -185,14 +185,14 @@ class Assets:
                 with torch.no_grad():
                     return SdfGrid.of(self.decoder_of(settings.dtype).field(code), vehicle, settings)
 
-            self._spaces[key] = kept_grid(self._decoder_hash, self._vehicle_hashes[spec.vehicle], settings, make)
+            self._spaces[key] = cached_grid(self._decoder_hash, self._vehicle_hashes[spec.vehicle], settings, make)
             if len(self._spaces) > _SPACES_KEPT:
                 self._spaces.popitem(last=False)
         self._spaces.move_to_end(key)
         return self._spaces[key]
 
 
-def require_planned(what: str, planned: str | None, found: str) -> None:
+def require_planned_hash(what: str, planned: str | None, found: str) -> None:
     """Refuse content whose hash differs from the plan's; a spec made by hand may have no hash."""
     if planned and planned != found:
         remedy = "Restore it, or start a new sweep in another folder with out=DIR"
@@ -206,9 +206,9 @@ def load_assets(spec: AssetsSpec) -> Assets:
     """
     for name, path in spec.detectors.items():
         found = detector_hash(name, path, spec.modules.get(name), spec.layouts.get(name))
-        require_planned(f"the weights of {name}", spec.hashes.get(name), found)
+        require_planned_hash(f"the weights of {name}", spec.hashes.get(name), found)
     source = vehicle_source(spec.vehicles)
-    require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
+    require_planned_hash("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
     scenes = scene_set(scene_config(spec.scenes))
     assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference, spec.layouts)
     # Load detectors before the first task: unusable weights stop the sweep once instead of failing every task.
@@ -227,19 +227,19 @@ def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None
     if spec.reference is None:
         return
     source = reference_source(spec.reference)
-    measures = Naturalness(load_reference(source, "naturalness"))
+    measures = NaturalnessMeter(load_reference(source, "naturalness"))
     bounded = [t for t in templates if t.mode != "pose" and t.attack.naturalness > 0]
     if not bounded:
         return
     vehicles = vehicle_source(spec.vehicles)
     with threads(spec.threads):
         if budgets := {t.attack.naturalness for t in bounded if t.attack.space == "family"}:
-            kinds = kept_measures(vehicles, vehicles.decoder(), measures, source_hash(source), show=True)
+            kinds = cached_measures(vehicles, vehicles.decoder(), measures, source_hash(source), show=True)
             kinds_within(min(budgets), kinds)
         _require_within([t for t in bounded if t.attack.space != "family"], vehicles, measures)
 
 
-def _require_within(templates: Sequence[TaskSpec], vehicles: VehicleSource, measures: Naturalness) -> None:
+def _require_within(templates: Sequence[TaskSpec], vehicles: VehicleSource, measures: NaturalnessMeter) -> None:
     """Refuse vehicles that lie beyond the budget unchanged, before tasks run that would all refuse them."""
     budgets: dict[str, set[float]] = {}
     for template in templates:

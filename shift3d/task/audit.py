@@ -24,7 +24,7 @@ from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets
 from shift3d.task.differences import Differences, differences
-from shift3d.task.scoring import SCORED_NEARBY, Candidate, Nearby, Scored, score_object
+from shift3d.task.scoring import SCORED_NEARBY, Candidate, NoisyCopyScorer, ScoredObject, score_object
 from shift3d.task.spec import TaskSpec
 
 AUDITED = ("baseline", "adversarial")
@@ -52,9 +52,9 @@ def score_and_audit(
     assets: Assets,
     problem: AttackProblem,
     candidate: Candidate,
-    nearby: Nearby | None = None,
-    known: Scored | None = None,
-) -> tuple[Scored, Audit | None]:
+    nearby: NoisyCopyScorer | None = None,
+    known: ScoredObject | None = None,
+) -> tuple[ScoredObject, Audit | None]:
     """Score a candidate with every detector of the task, and audit its rendering if its method is audited.
 
     nearby: warm start for the scores of noisy copies. known: scores of the same object, if it has been scored.
@@ -68,7 +68,7 @@ def score_and_audit(
     return scored, audit(spec, assets, problem, candidate, scored) if audited else None
 
 
-def audit(spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Candidate, scored: Scored) -> Audit:
+def audit(spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Candidate, scored: ScoredObject) -> Audit:
     """Render some beams of a scored object again at reference accuracy. Source: our choice: the paper is silent."""
     start = time.perf_counter()
     rendering, theta = scored.measurement.rendering.first_hits, candidate.theta

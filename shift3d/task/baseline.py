@@ -14,7 +14,7 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.task.assets import Assets
 from shift3d.task.audit import Audit, score_and_audit
 from shift3d.task.problem import build_problem, placed_pose
-from shift3d.task.scoring import Candidate, Scored
+from shift3d.task.scoring import Candidate, ScoredObject
 from shift3d.task.spec import TaskSpec
 
 # A rendering of all beams is some 20 MB. Tasks of one place run one after another.
@@ -29,7 +29,7 @@ class Baseline:
     stage, without scoring; empty if an earlier task measured the baseline.
     """
 
-    found: tuple[AttackProblem, Scored, Audit | None] | None
+    found: tuple[AttackProblem, ScoredObject, Audit | None] | None
     milliseconds: Mapping[str, float]
 
     def again(self) -> Baseline:

@@ -25,7 +25,7 @@ class Differences:
     depth_error_max_m: float
 
     @property
-    def none_lost_or_misplaced(self) -> bool:
+    def all_hits_agree(self) -> bool:
         """True if the same beams hit the same surfaces."""
         return self.missed_hits == self.false_hits == self.wrong_surface == 0
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import PlacementLimits, Site
+from shift3d.placement.sampling import PlacementContext, PlacementLimits
 from shift3d.placement.survey import Survey, survey
 from shift3d.render.beams import Beams
 from shift3d.scenes.scene import Scene
@@ -27,16 +27,16 @@ def constraints_of(where: PlacementSpec) -> Constraints:
     return Constraints(where.overlap_m, where.contact_m, where.min_object_points)
 
 
-def other_vehicles(scene: Scene) -> Tensor:
+def scene_vehicle_centres(scene: Scene) -> Tensor:
     """Return (M, 2) centres of the scene's vehicles; a box of one near the object would pass for a detection of it."""
     return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())
 
 
-def site_of(scene: Scene, beams: Beams) -> Site:
+def site_of(scene: Scene, beams: Beams) -> PlacementContext:
     """Return the facts about a scene, seen by these beams, that decide about places."""
     zone = scene.in_no_label_zone
     unlabelled = None if zone is None else scene.points[zone & scene.has_beam, :2]
-    return Site(beams, scene.ground_z_m, other_vehicles(scene), scene.ground_map, unlabelled)
+    return PlacementContext(beams, scene.ground_z_m, scene_vehicle_centres(scene), scene.ground_map, unlabelled)
 
 
 def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
@@ -44,7 +44,7 @@ def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
 
     Raises: InputError: the scene cannot be read.
     """
-    own = scenes.seen_by_own(name) if isinstance(scenes, StreetScenes) else None
+    own = scenes.with_own_sensor(name) if isinstance(scenes, StreetScenes) else None
     scene = scenes.load(name) if own is None else own[0].load(own[1])
     return survey(site_of(scene, Beams.of_main_sensor(scene)), limits_of(where), constraints_of(where))
 

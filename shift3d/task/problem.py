@@ -14,7 +14,7 @@ from shift3d.render.settings import STANDARD
 from shift3d.scenes.facts import EffectSettings
 from shift3d.seeding import derive_seed, generator
 from shift3d.task.assets import Assets, render_settings, score_precision
-from shift3d.task.places import constraints_of, limits_of, other_vehicles, site_of
+from shift3d.task.places import constraints_of, limits_of, scene_vehicle_centres, site_of
 from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
@@ -71,14 +71,16 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
         constraints=constraints_of(spec.placement),
         settings=settings,
         travel_m=spec.attack.max_shift_m,
-        others=other_vehicles(scene),
+        others=scene_vehicle_centres(scene),
         space=space,
         effects=_effects(spec, assets, vehicle),
         below_ground_m=spec.attack.below_ground_m,
     )
 
 
-def as_vehicle(spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: Vehicle | None) -> AttackProblem:
+def with_other_vehicle(
+    spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: Vehicle | None
+) -> AttackProblem:
     """Return the problem with another vehicle of the same decoder at the same place, on the same ground.
 
     Without another vehicle the problem itself is returned.

@@ -15,7 +15,7 @@ from shift3d.naturalness.measure import NaturalnessMeasure
 from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.task.audit import Audit
 from shift3d.task.exchange import Row, TaskResult
-from shift3d.task.scoring import Candidate, Scored
+from shift3d.task.scoring import Candidate, ScoredObject
 from shift3d.task.spec import TaskSpec
 
 _SIZES = ("length_m", "width_m", "height_m", "clearance_m", "asymmetry_cm")
@@ -35,7 +35,7 @@ class Rows:
         self,
         candidate: Candidate,
         baseline_code: Tensor,
-        scored: Scored,
+        scored: ScoredObject,
         audit: Audit | None = None,
         naturalness: NaturalnessMeasure | None = None,
     ) -> None:

@@ -23,12 +23,12 @@ from shift3d.task.assets import Assets, search_precision
 from shift3d.task.audit import score_and_audit
 from shift3d.task.baseline import baseline_candidate, baseline_of
 from shift3d.task.exchange import TaskResult
-from shift3d.task.problem import as_vehicle
+from shift3d.task.problem import with_other_vehicle
 from shift3d.task.rows import Rows
-from shift3d.task.scoring import Candidate, Nearby
+from shift3d.task.scoring import Candidate, NoisyCopyScorer
 from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, search_task
 from shift3d.task.spec import TaskSpec
-from shift3d.task.transfer import places_elsewhere, put_elsewhere
+from shift3d.task.transfer import score_transfers, search_scene_places
 from shift3d.vehicles.vehicle import Vehicle
 
 
@@ -53,16 +53,16 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
         unchanged = baseline_candidate(problem)
         rows.add(unchanged, problem.code0, scored, checked, _naturalness(spec, assets, unchanged, rows))
         searched = assets.detector_of(spec.detector, search_precision(spec))
-        nearby = Nearby()
+        nearby = NoisyCopyScorer()
         for candidate in _candidates(spec, problem, searched, assets, rows):
-            there = as_vehicle(spec, assets, problem, candidate.vehicle)
+            there = with_other_vehicle(spec, assets, problem, candidate.vehicle)
             known = replace(scored, milliseconds={}) if candidate.is_same_object(unchanged) else None
             found, checked = score_and_audit(spec, assets, there, candidate, nearby, known)
             nearby.note(candidate.method, found)
             rows.add(candidate, problem.code0, found, checked, _naturalness(spec, assets, candidate, rows))
             if spec.transfer_scenes and candidate.method == "adversarial":
                 began = time.perf_counter()
-                rows.transfers(put_elsewhere(spec, assets, candidate.code, candidate.vehicle))
+                rows.transfers(score_transfers(spec, assets, candidate.code, candidate.vehicle))
                 elsewhere = len(spec.transfer_scenes) - spec.attack.search_scenes
                 rows.time("adversarial", "transfers", 1e3 * (time.perf_counter() - began), elsewhere)
         for method, replicate in _planned(spec):
@@ -106,12 +106,12 @@ def _candidates(
     """
     if spec.attack.search_scenes:
         began = time.perf_counter()
-        places = places_elsewhere(spec, assets)
+        places = search_scene_places(spec, assets)
         rows.time("adversarial", "search_scenes", 1e3 * (time.perf_counter() - began), len(places))
     found = search_task(spec, replace(problem, detector=searched), assets)
     rows.attack(found)
     code, theta, vehicle = found.latent_code, found.theta, _other_than(problem, found)
-    there = as_vehicle(spec, assets, problem, vehicle)
+    there = with_other_vehicle(spec, assets, problem, vehicle)
     distance = float((code.double() - problem.code0.double()).norm())
     rng = generator("random", spec.task_id)
     for index in range(spec.attack.random_replicates):

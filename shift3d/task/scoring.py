@@ -22,7 +22,7 @@ from shift3d.attack.objective import (
 )
 from shift3d.attack.problem import AttackProblem, Measurement, measure
 from shift3d.detectors.base import BevWindow, Detections, Detector, Proposals
-from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow, incremental_inference
+from shift3d.detectors.incremental.inference import IncrementalInference, UncachedInference, incremental_inference
 from shift3d.detectors.nms import suppress
 from shift3d.render.solvers.search import WarmStart
 from shift3d.vehicles.vehicle import Vehicle
@@ -34,7 +34,7 @@ SCORE_FLOOR = 0.01
 SUPPRESSION_IOU = 0.25
 # A box centred farther away suppresses no box near the object, and none that could. Covers the corners of every window.
 _AROUND_M = 2.0 * SCORE_RADIUS_M
-# Methods with many candidates at one place that differ little from the solution: see `Nearby`.
+# Methods with many candidates at one place that differ little from the solution: see `NoisyCopyScorer`.
 SCORED_NEARBY = ("adversarial_noise",)
 
 
@@ -60,7 +60,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Answer:
+class DetectorResult:
     """One detector's result for an object.
 
     score: of the best box after suppression within the detection radius, 0 if none. adversarial_loss: L_adv.
@@ -71,19 +71,19 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredObject:
     """Results of scoring one candidate.
 
     answers: by the detector's name, the attacked one first. measurement: rendering and constraints. milliseconds: by
     stage; the attacked detector's is "detector", another's "scored_by_<name>".
     """
 
-    answers: dict[str, Answer]
+    answers: dict[str, DetectorResult]
     measurement: Measurement
     milliseconds: dict[str, float]
 
 
-class Nearby:
+class NoisyCopyScorer:
     """Warm start for scoring the noisy copies of a solution.
 
     The copies start from the solution's rendering (`note`) and from the detector's state for the scene without the
@@ -95,7 +95,7 @@ class Nearby:
         self.warm: WarmStart | None = None
         self._seen: dict[BevWindow, IncrementalInference] = {}
 
-    def note(self, method: str, scored: Scored) -> None:
+    def note(self, method: str, scored: ScoredObject) -> None:
         """Keep the rendering of a scored candidate if it is the solution; the copies start from it."""
         if method == "adversarial":
             self.warm = scored.measurement.rendering.warm
@@ -105,7 +105,7 @@ class Nearby:
         window = problem.detector.window_for((float(theta[0]), float(theta[1])), SCORE_RADIUS_M)
         if window not in self._seen:
             seen = self._seen[window] = incremental_inference(problem.detector, window)
-            if not isinstance(seen, WholeWindow):  # WholeWindow keeps no state
+            if not isinstance(seen, UncachedInference):  # WholeWindow keeps no state
                 seen.proposals(to_network_frame(problem.cast_beams.points, problem.ground_z_m), window)
         return self._seen[window].fork()
 
@@ -116,8 +116,8 @@ def score_object(
     theta: Tensor,
     radius_m: float,
     others: Mapping[str, Detector] | None = None,
-    nearby: Nearby | None = None,
-) -> Scored:
+    nearby: NoisyCopyScorer | None = None,
+) -> ScoredObject:
     """Render one code (d,) at one pose (6,) once, and score the rendering with every detector.
 
     radius_m: largest distance of a detecting box's centre from the object's centre, metres. others: further detectors
@@ -135,7 +135,7 @@ def score_object(
         for name, detector in (others or {}).items():
             with timed(spent, f"scored_by_{name}"):
                 answers |= score_points(problem, measurement.rendering.points, theta, radius_m, {name: detector})
-    return Scored(answers, measurement, spent)
+    return ScoredObject(answers, measurement, spent)
 
 
 @contextlib.contextmanager
@@ -148,7 +148,7 @@ def timed(spent: dict[str, float], stage: str) -> Iterator[None]:
 
 def score_points(
     problem: AttackProblem, points: Tensor, theta: Tensor, radius_m: float, detectors: Mapping[str, Detector]
-) -> dict[str, Answer]:
+) -> dict[str, DetectorResult]:
     """Score a scene (N, 3) that holds the problem's object at a pose (6,), by the detectors' names."""
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
     return score_box(points, box, problem.ground_z_m, radius_m, detectors)
@@ -156,7 +156,7 @@ def score_points(
 
 def score_box(
     points: Tensor, box: NDArray[np.float64], ground_z_m: float, radius_m: float, detectors: Mapping[str, Detector]
-) -> dict[str, Answer]:
+) -> dict[str, DetectorResult]:
     """Score the object of a box (7,), network frame, in a scene (N, 3), by the detectors' names.
 
     points: scene frame, metres. radius_m: largest distance of a detecting box's centre from the object's centre,
@@ -196,6 +196,6 @@ def detections_until(proposals: Proposals, box: NDArray[np.float64], wanted: NDA
     return suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU, torch.from_numpy(around), wanted)
 
 
-def _answer(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> Answer:
+def _answer(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> DetectorResult:
     detections = detections_near(proposals, box, radius_m)
-    return Answer(detection_score(detections, box, radius_m), float(adversarial_loss(proposals, box)))
+    return DetectorResult(detection_score(detections, box, radius_m), float(adversarial_loss(proposals, box)))

@@ -10,21 +10,21 @@ import numpy as np
 from torch import Tensor
 
 from shift3d.attack.expectation import descend_expectation
+from shift3d.attack.gradient_free import evolve, search_by_draws
 from shift3d.attack.joint import joint_search
 from shift3d.attack.loop import descend
 from shift3d.attack.pose import PoseLimits, pose_search
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
-from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
 from shift3d.attack.space import CodeSpace, edited_code, free_space, parameter_space, pca_space
-from shift3d.attack.trials import Family, Search, unusual_first
+from shift3d.attack.trials import Family, Search, order_by_rarity
 from shift3d.errors import InputError
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets, kinds_within, require_planned
-from shift3d.task.problem import as_vehicle
+from shift3d.task.assets import Assets, kinds_within, require_planned_hash
+from shift3d.task.problem import with_other_vehicle
 from shift3d.task.spec import TaskSpec
-from shift3d.task.transfer import MovedTask, problems_elsewhere
+from shift3d.task.transfer import TaskAndProblem, search_scene_problems
 from shift3d.vehicles.sources import space_hash
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -43,7 +43,7 @@ def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Attac
     if attack.search == "evolution":
         return evolve(problem, search, attack.steps, rng)
     if attack.search == "random":
-        return draw_best(problem, search, attack.steps, rng, family=family)
+        return search_by_draws(problem, search, attack.steps, rng, family=family)
     return descend(problem, search, attack.steps, spec.alpha, selection_window=attack.selection_window)
 
 
@@ -51,7 +51,7 @@ def best_of_draws(spec: TaskSpec, problem: AttackProblem, assets: Assets, distan
     """Return the best of `attack.steps` draws. distance: see `attack.trials.Search.draw`."""
     rng = generator("random search", spec.task_id)
     search, family = _searches(spec, problem, assets)
-    return draw_best(problem, search, spec.attack.steps, rng, distance, family=family)
+    return search_by_draws(problem, search, spec.attack.steps, rng, distance, family=family)
 
 
 def edited_vehicle(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Tensor:
@@ -74,13 +74,13 @@ def _searches(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> tuple[S
     if spec.mode == "pose":
         return pose_search(problem, pose_limits(spec)), None
     _require_space(spec, assets)
-    elsewhere = problems_elsewhere(spec, problem, assets) if spec.mode == "shape" else []
+    elsewhere = search_scene_problems(spec, problem, assets) if spec.mode == "shape" else []
     own = _search(spec, problem, elsewhere, assets, assets.vehicle(spec))
     return own, _family(spec, problem, elsewhere, assets) if spec.attack.space == "family" else None
 
 
 def _search(
-    spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets, vehicle: Vehicle
+    spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[TaskAndProblem], assets: Assets, vehicle: Vehicle
 ) -> Search:
     """Build the search over a vehicle's kind. problem: of that vehicle. elsewhere: of it in other scenes."""
     assert spec.lambda_ is not None
@@ -92,7 +92,7 @@ def _search(
     return replace(search, natural=_budget(spec, assets, vehicle))
 
 
-def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets) -> Family:
+def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[TaskAndProblem], assets: Assets) -> Family:
     """Return every kind of the set within the budget, at the task's places; a kind is built when it is drawn."""
     budget = spec.attack.naturalness
     names = kinds_within(budget, assets.naturalness_of_kinds(spec)) if budget else assets.vehicles.kinds()
@@ -102,13 +102,13 @@ def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTas
         vehicle = assets.vehicles.vehicle(names[number])
 
         def placed(moved: TaskSpec, own: AttackProblem) -> AttackProblem:
-            return replace(as_vehicle(moved, assets, own, vehicle), detector=problem.detector)
+            return replace(with_other_vehicle(moved, assets, own, vehicle), detector=problem.detector)
 
         here, others = placed(spec, problem), [(moved, placed(moved, own)) for moved, own in elsewhere]
         return here, _search(spec, here, others, assets, vehicle)
 
     codes = np.stack([assets.vehicles.vehicle(name).latent_code for name in names])
-    return Family(unusual_first(codes, assets.vehicles.codes()), kind)
+    return Family(order_by_rarity(codes, assets.vehicles.codes()), kind)
 
 
 def _budget(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> Callable[[Tensor], bool] | None:
@@ -137,4 +137,4 @@ def _space(spec: TaskSpec, problem: AttackProblem, assets: Assets, vehicle: Vehi
 
 def _require_space(spec: TaskSpec, assets: Assets) -> None:
     found = space_hash(assets.vehicles, spec.vehicle, spec.attack.space, bool(spec.attack.edit))
-    require_planned(f"the codes of {spec.vehicle}", spec.attack.space_hash, found)
+    require_planned_hash(f"the codes of {spec.vehicle}", spec.attack.space_hash, found)

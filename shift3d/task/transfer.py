@@ -13,16 +13,16 @@ from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.task.assets import Assets
 from shift3d.task.exchange import Row
-from shift3d.task.problem import as_vehicle, build_problem, placed_pose
+from shift3d.task.problem import build_problem, placed_pose, with_other_vehicle
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec, TransferScene
 from shift3d.vehicles.vehicle import Vehicle
 
-MovedTask = tuple[TaskSpec, AttackProblem]
+TaskAndProblem = tuple[TaskSpec, AttackProblem]
 """A task moved to another scene, and its problem there."""
 
 
-def places_elsewhere(spec: TaskSpec, assets: Assets) -> list[tuple[TaskSpec, Tensor]]:
+def search_scene_places(spec: TaskSpec, assets: Assets) -> list[tuple[TaskSpec, Tensor]]:
     """Return the task in each further scene of a universal search, with its vehicle's pose (6,) in that scene.
 
     Scenes without room are left out. Raises: InputError: a scene that cannot be loaded, or that differs from the plan.
@@ -31,13 +31,13 @@ def places_elsewhere(spec: TaskSpec, assets: Assets) -> list[tuple[TaskSpec, Ten
     return [(there, theta) for there in moved if (theta := placed_pose(there, assets)) is not None]
 
 
-def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[MovedTask]:
-    """Build a problem at each of `places_elsewhere`. problem: the task's own; the problems share its detector."""
-    places = places_elsewhere(spec, assets)
+def search_scene_problems(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[TaskAndProblem]:
+    """Build a problem at each of `search_scene_places`. problem: the task's own; the problems share its detector."""
+    places = search_scene_places(spec, assets)
     return [(there, replace(build_problem(there, assets, theta), detector=problem.detector)) for there, theta in places]
 
 
-def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehicle | None = None) -> Iterator[Row]:
+def score_transfers(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehicle | None = None) -> Iterator[Row]:
     """Score a code (d,) and its baseline at one place of each transfer scene that was not used in the search.
 
     vehicle: vehicle whose object frame renders the code; None: the task's vehicle.
@@ -67,7 +67,7 @@ def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor, ve
     problem = build_problem(moved, assets, pose)
     others = assets.other_detectors(moved)
     radius_m = moved.attack.detection_radius_m
-    there = as_vehicle(moved, assets, problem, vehicle)
+    there = with_other_vehicle(moved, assets, problem, vehicle)
     stands = on_ground(code, there, SNAP_M)
     before = score_object(problem, problem.code0, pose, radius_m, others)
     after = score_object(there, code, stands, radius_m, others)

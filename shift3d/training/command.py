@@ -132,12 +132,12 @@ def evaluate(model: str) -> int:
 
 
 def _train_sdf(options: TrainOptions, report: Report | None) -> Path:
-    from shift3d.training.compute import subnormals_as_before
+    from shift3d.training.compute import restore_subnormals
     from shift3d.training.sdf.export import export_sdf
     from shift3d.training.sdf.train import train_sdf
 
     compute = options.compute()
-    with subnormals_as_before():
+    with restore_subnormals():
         checkpoint = train_sdf(options.out, compute=compute, report=report)
         export_sdf(checkpoint, WEIGHTS_FOLDER)
     return WEIGHTS_FOLDER / "sdf.safetensors"

@@ -68,7 +68,7 @@ class Compute:
 
 
 @contextmanager
-def subnormals_as_before() -> Iterator[None]:
+def restore_subnormals() -> Iterator[None]:
     """Restore torch's handling of subnormal numbers afterwards: a training flushes them to zero."""
     kept = bool(torch.tensor([1e-310], dtype=torch.float64).mul(1.0).any())
     try:

@@ -22,8 +22,8 @@ _CODE = (
     *("scenes", "vehicles", "sdf", "geometry", "render", "effects", "task", "seeding.py", "processor.py"),
     *("training/detector_scenes.py", "training/inserted_vehicles.py"),
 )
-KEPT_RADIUS_M = 80.0
-EVERYWHERE_RAD = (0.0, float(np.pi))
+KEPT_HALF_WIDTH_M = 80.0
+FULL_CIRCLE_RAD = (0.0, float(np.pi))
 MARGIN_M = 0.1  # mirrors and antennas protrude from a box
 
 
@@ -44,7 +44,7 @@ def network_points(scene: Scene) -> npt.NDArray[np.float32]:
     return scene.points - np.array((0.0, 0.0, scene.ground_z_m), dtype=np.float32)
 
 
-def from_scene(scene: Scene, sector_rad: tuple[float, float] = EVERYWHERE_RAD) -> TrainingScene:
+def from_scene(scene: Scene, sector_rad: tuple[float, float] = FULL_CIRCLE_RAD) -> TrainingScene:
     """Keep the points that have a beam and |x|, |y| < 80 m, and the boxes of class vehicle.
 
     sector_rad: (centre, half width) of the labelled azimuths, as in `SceneSet.placement_sector_rad`. Unlabelled
@@ -60,14 +60,14 @@ def cut_scene(
     points: npt.NDArray[np.float32],
     boxes: npt.NDArray[np.float32],
     sensor_height_m: float,
-    sector_rad: tuple[float, float] = EVERYWHERE_RAD,
+    sector_rad: tuple[float, float] = FULL_CIRCLE_RAD,
     last_stays: bool = False,
 ) -> TrainingScene:
     """Apply `from_scene` to points (N, 3) and vehicle boxes (M, 7) in the network frame. Boxes keep their order.
 
     last_stays: keep the last box even if its centre is outside the sector.
     """
-    points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_RADIUS_M]
+    points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_HALF_WIDTH_M]
     if sector_rad[1] < np.pi:
         points, boxes = _labelled_part(points, boxes, sector_rad, last_stays)
     return TrainingScene(points, boxes, sensor_height_m)

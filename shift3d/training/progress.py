@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import FrameType
 
-from shift3d.signals import stop_signals
+from shift3d.signals import handle_stop_signals
 
 CURVE_POINTS = 30  # largest number of points of a curve in a provenance file
 CurvePoint = tuple[int, Mapping[str, float]]
@@ -21,7 +21,7 @@ def mean_values(points: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: sum(point[name] for point in points) / len(points) for name in points[-1]}
 
 
-def averaged(curve: Sequence[CurvePoint], points: int) -> list[CurvePoint]:
+def downsampled(curve: Sequence[CurvePoint], points: int) -> list[CurvePoint]:
     """Reduce the curve to at most `points` means of stretches, each at its last step. A single point is noise."""
     length = max(1, -(-len(curve) // max(1, points)))
     found: list[CurvePoint] = []
@@ -35,7 +35,7 @@ def curve_facts(curve: Sequence[CurvePoint]) -> list[dict[str, float]]:
     """Return the curve for a provenance file: at most `CURVE_POINTS` points, values to four digits."""
     return [
         {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}}
-        for step, values in averaged(curve, CURVE_POINTS)
+        for step, values in downsampled(curve, CURVE_POINTS)
     ]
 
 
@@ -53,5 +53,5 @@ def stop_on_signal() -> Iterator[threading.Event]:
             raise KeyboardInterrupt
         requested.set()
 
-    with stop_signals(handle):
+    with handle_stop_signals(handle):
         yield requested

@@ -13,7 +13,7 @@ import torch
 
 from shift3d import __version__
 from shift3d.errors import InputError
-from shift3d.scenes.sets import place_of
+from shift3d.scenes.sets import independent_group_of
 from shift3d.store.atomic import write_atomic
 
 
@@ -60,12 +60,12 @@ def shared_scenes(seen: Collection[tuple[str, str, str]], measured: Collection[t
     Scenes: data set, name and content hash. A seen scene with an empty data set matches by its name alone. An empty
     hash means unknown. A street in other weather is the same street.
     """
-    places, hashes = {place_of(*scene[:2]) for scene in seen}, {value for *_, value in seen if value}
+    places, hashes = {independent_group_of(*scene[:2]) for scene in seen}, {value for *_, value in seen if value}
     return sorted(
         {
             name
             for dataset, name, value in measured
-            if {place_of(dataset, name), place_of("", name)} & places or value in hashes
+            if {independent_group_of(dataset, name), independent_group_of("", name)} & places or value in hashes
         }
     )
 

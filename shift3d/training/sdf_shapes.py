@@ -33,7 +33,7 @@ class ShapeSamples:
     source: str = "family"
 
 
-def in_random_order(
+def sample_shuffled(
     mesh: trimesh.Trimesh, samples: int, name: str, *key: str | int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """Sample a mesh. Returns points, distances, in random order, and scale. name, key: of the generators."""
@@ -44,7 +44,7 @@ def in_random_order(
 
 def _sampled(task: tuple[VehicleSpec, int, int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     spec, samples, seed, index = task
-    return in_random_order(build_mesh(spec), samples, "sdf", seed, index)
+    return sample_shuffled(build_mesh(spec), samples, "sdf", seed, index)
 
 
 def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: int) -> ShapeSamples:

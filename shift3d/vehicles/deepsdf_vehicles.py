@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.parameter_box import BoxOfParameters
+from shift3d.vehicles.parameter_box import ParameterBox
 from shift3d.vehicles.sources import VehicleSource, known
-from shift3d.vehicles.vehicle import Vehicle, decoded_corners, framed
+from shift3d.vehicles.vehicle import Vehicle, centred_vehicle, decoded_corners
 
 # A plan needs names and hashes only, so the decoder modules are imported where a vehicle is decoded.
 if TYPE_CHECKING:
     from shift3d.sdf.decoder import Decoder
+    from shift3d.sdf.deepsdf_checkpoint import DeepSdfCheckpoint
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
-    from shift3d.sdf.foreign import Experiment
 
 _SHORTEST_CODE = 1e-6  # trained codes have norms of some tenths; shorter codes are untrained
 
@@ -63,10 +63,10 @@ class DeepSdfVehicles(VehicleSource):
         self._measured: dict[str, Vehicle] = {}
 
     @functools.cached_property
-    def _experiment(self) -> Experiment:
-        from shift3d.sdf.foreign import load_experiment
+    def _experiment(self) -> DeepSdfCheckpoint:
+        from shift3d.sdf.deepsdf_checkpoint import load_deepsdf_checkpoint
 
-        return load_experiment(self._folder, self._checkpoint)
+        return load_deepsdf_checkpoint(self._folder, self._checkpoint)
 
     @functools.cached_property
     def _code_scale(self) -> float:
@@ -97,7 +97,7 @@ class DeepSdfVehicles(VehicleSource):
         what = "each vehicle of a DeepSDF checkpoint has to be decoded before a search can turn to it"
         raise InputError(what, f"{self._folder}, attack.space=family", "Give attack.space=pca or free")
 
-    def parameters(self, name: str) -> BoxOfParameters:
+    def parameters(self, name: str) -> ParameterBox:
         what, remedy = "the codes of a DeepSDF checkpoint are made of no parameters", "Give attack.space=pca or free"
         raise InputError(what, f"{self._folder}, attack.space=parameters", remedy)
 
@@ -106,7 +106,7 @@ class DeepSdfVehicles(VehicleSource):
         return self._scaled
 
     def decoder_hash(self) -> str:
-        from shift3d.sdf.foreign import experiment_files
+        from shift3d.sdf.deepsdf_checkpoint import experiment_files
 
         digest = hashlib.blake2b(repr(self._code_norm).encode(), digest_size=16)
         for path in experiment_files(self._folder, self._checkpoint):
@@ -130,7 +130,7 @@ class DeepSdfVehicles(VehicleSource):
         low, high = decoded_corners(code, self._scaled, sdf_R_object)
         frame.check_direction(high - low, f"{self._folder}, {name}", "vehicle.")
         scale_m = round(float(frame.length_m / (high - low)[0]), 4)
-        return framed(name, code, scale_m, sdf_R_object, low, high)
+        return centred_vehicle(name, code, scale_m, sdf_R_object, low, high)
 
     def _frame_of(self, name: str) -> MeshFrame:
         fitting = [key for key in self._frames if name.startswith(key)]

@@ -21,20 +21,20 @@ from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
 from shift3d.sdf.samples import SdfSamples, sample_sdf
 from shift3d.seeding import generator
 from shift3d.store.atomic import write_atomic
-from shift3d.store.user_cache import digest_of, program_digest, read_kept, write_kept
+from shift3d.store.user_cache import digest_of, program_digest, read_cached, write_cached
 from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.orientation import better_frame, turned
+from shift3d.vehicles.orientation import better_frame, reorient_points
 from shift3d.vehicles.picture import side_by_side
 from shift3d.vehicles.repair import RepairReport
 from shift3d.vehicles.vehicle import CODE_LENGTH
-from shift3d.vehicles.vehicle_set import FittedVehicle, fitted, write_vehicle_set
+from shift3d.vehicles.vehicle_set import FittedVehicle, decode_and_measure, write_vehicle_set
 from shift3d.wording import counted
 
 SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024
 PICTURES, KEPT = "pictures", "kept"
 _CODE = ("vehicles", "sdf", "seeding.py", "processor.py")
-USUAL, WORST_USUAL = 0.0042, 0.008
+USUAL, WORST_CHAMFER_SHARE = 0.0042, 0.008
 """Chamfer distance over vehicle length: median and maximum of 19 cars that the shipped decoder was not trained on
 (1.9 cm and 3.6 cm of 4.5 m)."""
 
@@ -58,14 +58,14 @@ class MeshFit:
         return Path(PICTURES) / f"{self.vehicle.name}.png"
 
     @property
-    def usual_m(self) -> float:
+    def typical_chamfer_m(self) -> float:
         """Usual Chamfer distance in metres for a vehicle of this length."""
         return USUAL * (self.vehicle.bounds_m[1][0] - self.vehicle.bounds_m[0][0])
 
     @property
     def far(self) -> bool:
         """True if the Chamfer distance exceeds that of every car that the shipped decoder was tried on."""
-        return self.vehicle.chamfer_m > WORST_USUAL / USUAL * self.usual_m
+        return self.vehicle.chamfer_m > WORST_CHAMFER_SHARE / USUAL * self.typical_chamfer_m
 
 
 def fit_meshes(
@@ -99,7 +99,7 @@ def fit_meshes(
     as_json, fits = TypeAdapter(MeshFit), dict[MeshFile, tuple[MeshFit, bytes]]()
     for file in files:
         with contextlib.suppress(InputError):  # the fit below reports the error
-            if content := read_kept(kept(file)):
+            if content := read_cached(kept(file)):
                 text, _, picture = content.partition(b"\n")
                 fits[file] = as_json.validate_json(text), picture
     refused: dict[str, str] = {}
@@ -124,7 +124,7 @@ def fit_meshes(
             refused[str(file.path)] = str(error)
             bar.write(f"left out: {error}")
             continue
-        write_kept(place, as_json.dump_json(fit) + b"\n" + picture)
+        write_cached(place, as_json.dump_json(fit) + b"\n" + picture)
     if not fits:
         first = next(iter(refused.values()))
         raise InputError(f"none of {len(files)} meshes can be used", str(path), f"Repair them, as the first: {first}")
@@ -156,12 +156,14 @@ def _fit(
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
     say(f"{vehicle.name}: drawing the code")
     try:
-        done, decoded = fitted(vehicle.name, vehicle.body_type, decoder, code, samples.scale_m, vehicle.mesh)
+        done, decoded = decode_and_measure(
+            vehicle.name, vehicle.body_type, decoder, code, samples.scale_m, vehicle.mesh
+        )
     except InputError as error:
         remedy = "Give more steps=, or another decoder="
         raise InputError("the decoder draws no surface for it", str(file.path), remedy) from error
     say(f"{vehicle.name}: trying other orientations")
-    better = _better(done, vehicle, frame, decoder, samples, steps)
+    better = _better_orientation(done, vehicle, frame, decoder, samples, steps)
     facts = {
         **vehicle.facts(),
         "sha256": sha256,
@@ -173,18 +175,18 @@ def _fit(
     return MeshFit(done, better, vehicle.repair, facts), side_by_side(vehicle.mesh, decoded)
 
 
-def _better(
+def _better_orientation(
     done: FittedVehicle, vehicle: MeshVehicle, frame: MeshFrame, decoder: Decoder, samples: SdfSamples, steps: int
 ) -> tuple[MeshFrame, float] | None:
     """Return another orientation and its Chamfer distance in metres, if that distance is smaller than `done`'s."""
     other = better_frame(decoder, samples, frame)
     if other is None:
         return None
-    mesh = trimesh.Trimesh(turned(vehicle.mesh.vertices, frame, other), vehicle.mesh.faces, process=False)
-    samples = replace(samples, points=turned(samples.points, frame, other))
+    mesh = trimesh.Trimesh(reorient_points(vehicle.mesh.vertices, frame, other), vehicle.mesh.faces, process=False)
+    samples = replace(samples, points=reorient_points(samples.points, frame, other))
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
     try:
-        chamfer_m = fitted(done.name, done.body_type, decoder, code, samples.scale_m, mesh)[0].chamfer_m
+        chamfer_m = decode_and_measure(done.name, done.body_type, decoder, code, samples.scale_m, mesh)[0].chamfer_m
     except InputError:  # the code decodes to no surface in this orientation
         return None
     return (other, chamfer_m) if chamfer_m < done.chamfer_m else None

@@ -20,7 +20,7 @@ import trimesh
 from shift3d.errors import InputError
 from shift3d.vehicles.family.spec import BODY_TYPES, MORE_BODY_TYPES
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.repair import RepairReport, repaired
+from shift3d.vehicles.repair import RepairReport, close_mesh
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 SHAPENET_FILE = Path("models") / "model_normalized.obj"
@@ -194,6 +194,6 @@ def read_mesh_vehicle(file: MeshFile, frame: MeshFrame) -> MeshVehicle:
     Raises: InputError naming the file: unreadable, no faces, wrong unit or orientation, or impossible to repair.
     """
     where = str(file.path)
-    mesh, report = repaired(frame.to_object(read_mesh(file.path), where), where)
+    mesh, report = close_mesh(frame.to_object(read_mesh(file.path), where), where)
     centred = trimesh.Trimesh(mesh.vertices - mesh.bounds.mean(axis=0), mesh.faces, process=False)
     return MeshVehicle(file.name, file, centred, report)

@@ -16,7 +16,7 @@ from shift3d.sdf.samples import SdfSamples
 from shift3d.vehicles.mesh_frame import AXES, MeshFrame
 
 STEPS, POINTS_A_STEP, SAMPLES = 40, 256, 2_000
-CLEARLY = 0.9
+BETTER_ERROR_RATIO = 0.9
 """Ratio to the given orientation's error below which another orientation counts as better. For ten correctly oriented
 cars unknown to the shipped decoder, no other orientation is below 1.15. The right orientation has at most 0.78 for
 these cars upside down, and at most 0.9 for nine cars turned back to front."""
@@ -36,16 +36,16 @@ def better_frame(decoder: Decoder, samples: SdfSamples, frame: MeshFrame) -> Mes
     Source: our choice: eight short searches together cost a third of the full search for the code.
     """
     frames = frames_along(frame)
-    points = torch.from_numpy(np.stack([turned(samples.points, frame, other) for other in frames]))
+    points = torch.from_numpy(np.stack([reorient_points(samples.points, frame, other) for other in frames]))
     distances = torch.from_numpy(samples.distances)
     codes = autodecode_each(decoder, points, distances, steps=STEPS, batch=POINTS_A_STEP)
     stride = max(1, len(distances) // SAMPLES)
     errors = _errors(decoder, codes, points[:, ::stride], distances[::stride])
     best = int(errors.argmin())
-    return frames[best] if errors[best] < CLEARLY * errors[0] else None
+    return frames[best] if errors[best] < BETTER_ERROR_RATIO * errors[0] else None
 
 
-def turned(points: NDArray[Any], frame: MeshFrame, other: MeshFrame) -> NDArray[np.float32]:
+def reorient_points(points: NDArray[Any], frame: MeshFrame, other: MeshFrame) -> NDArray[np.float32]:
     """Transform points (N, 3) about the origin from the object frame of `frame` to that of `other`."""
     return np.asarray(points @ (other.object_R_file() @ frame.object_R_file().T).T, np.float32)
 

@@ -15,7 +15,7 @@ from trimesh.graph import connected_component_labels
 
 from shift3d.errors import InputError
 from shift3d.sdf.samples import is_closed, winding_number
-from shift3d.vehicles.wrap import uncollapsed, wrapped
+from shift3d.vehicles.wrap import nondegenerate_faces, wrapped
 from shift3d.wording import counted
 
 SIDED_SHARE = 0.99
@@ -66,7 +66,7 @@ class RepairReport:
         return f"{was}; {', '.join(done) or 'nothing to repair'}"
 
 
-def repaired(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, RepairReport]:
+def close_mesh(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, RepairReport]:
     """Close a vehicle's mesh in the object frame, metres, and report the repairs.
 
     Returns: a new mesh that `shift3d.sdf.samples.sample_sdf` accepts, normals outwards. The given mesh stays unchanged.
@@ -78,7 +78,7 @@ def repaired(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, Repair
         mesh, report = _stitched(mesh, report)
     if is_closed(mesh):
         mesh, report = _turned(mesh, report)
-        if sided_share(mesh) >= SIDED_SHARE:
+        if correctly_oriented_share(mesh) >= SIDED_SHARE:
             share = float(mesh.volume / np.prod(np.ptp(mesh.vertices, axis=0)))
             if share < SOLID_SHARE:
                 what = f"the mesh encloses {100 * share:.0f} % of its box, too little for a vehicle"
@@ -98,7 +98,7 @@ def _cleaned(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, RepairReport]:
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     vertices, faces = len(mesh.vertices), len(mesh.faces)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    mesh.update_faces(uncollapsed(mesh))
+    mesh.update_faces(nondegenerate_faces(mesh))
     mesh.update_faces(mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
     counts = np.bincount(mesh.edges_unique_inverse) if len(mesh.faces) else np.zeros(0, np.int64)
@@ -152,7 +152,7 @@ def _turned(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimes
     return turned, replace(report, flipped_pieces=flipped)
 
 
-def sided_share(mesh: trimesh.Trimesh) -> float:
+def correctly_oriented_share(mesh: trimesh.Trimesh) -> float:
     """Return the share of a closed mesh's area with outside 1 mm outwards and inside 1 mm inwards.
 
     The share is below one if pieces overlap, a surface lies inside another, or normals point the wrong way.

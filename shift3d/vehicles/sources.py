@@ -13,22 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.store.user_cache import keep, kept_file, program_digest, read_kept
+from shift3d.store.user_cache import cache_file, cache_result, program_digest, read_cached
 from shift3d.vehicles.parameter_box import (
-    BoxOfParameters,
-    drawn_box,
-    drawn_code,
+    ParameterBox,
+    code_of_box,
     kind_and_number,
     parametric_vehicles,
+    random_box,
     read_parameters,
 )
 from shift3d.vehicles.vehicle import (
     DEFAULT_VEHICLES,
     Vehicle,
     baseline_vehicles,
+    centred_vehicle,
     decoded_corners,
     family_vehicles,
-    framed,
 )
 
 # A plan needs names and hashes only, so the decoder modules are imported where a vehicle is decoded.
@@ -60,7 +60,7 @@ class VehicleSource(Protocol):
         """True if the vehicle's code is made of a generator's parameters."""
         ...
 
-    def parameters(self, name: str) -> BoxOfParameters:
+    def parameters(self, name: str) -> ParameterBox:
         """Return a vehicle's free parameters. Raises: InputError if its code is not made of parameters."""
         ...
 
@@ -110,7 +110,7 @@ def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = F
     return digest.hexdigest()
 
 
-def set_folder(folder: Path | str | None, setting: str = "vehicle.folder") -> Path:
+def vehicle_set_folder(folder: Path | str | None, setting: str = "vehicle.folder") -> Path:
     """Return the folder of a vehicle set; None and "wide" are shipped sets. setting: its name, for messages."""
     if folder is None:
         return DEFAULT_VEHICLES.parent
@@ -131,7 +131,7 @@ class VehicleSet(VehicleSource):
     """
 
     def __init__(self, folder: Path | str | None = None) -> None:
-        self._folder = set_folder(folder)
+        self._folder = vehicle_set_folder(folder)
         self._drawn: dict[str, Vehicle] = {}
 
     @functools.cached_property
@@ -150,18 +150,18 @@ class VehicleSet(VehicleSource):
         kind, number = self._kind(name)
         found = known(kind, self._vehicles, self._folder)
         if number and name not in self._drawn:
-            code = drawn_code(found.latent_code, self.parameters(kind), self.parameters(name))
+            code = code_of_box(found.latent_code, self.parameters(kind), self.parameters(name))
             corners = self._corners(code, found.sdf_R_object)
-            self._drawn[name] = framed(name, code, found.scale_m, found.sdf_R_object, *corners)
+            self._drawn[name] = centred_vehicle(name, code, found.scale_m, found.sdf_R_object, *corners)
         return self._drawn[name] if number else found
 
     def _corners(self, code: NDArray[np.float32], sdf_R_object: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `decoded_corners` (2, 3), from the user's cache folder if it holds them, else decode and cache."""
         made_of = (self.decoder_hash(), code.tobytes(), sdf_R_object.tobytes())
-        file = kept_file("drawn", *made_of, program_digest("sdf", "processor.py", "vehicles"))
-        if (content := read_kept(file)) is None:
+        file = cache_file("drawn", *made_of, program_digest("sdf", "processor.py", "vehicles"))
+        if (content := read_cached(file)) is None:
             content = np.stack(decoded_corners(code, self.decoder(), sdf_R_object)).tobytes()
-            keep(file, content)
+            cache_result(file, content)
         return np.frombuffer(content, np.float64).reshape(2, 3)
 
     def codes(self) -> NDArray[np.float32]:
@@ -174,10 +174,10 @@ class VehicleSet(VehicleSource):
     def is_parametric(self, name: str) -> bool:
         return self._kind(name)[0] in self._parametric
 
-    def parameters(self, name: str) -> BoxOfParameters:
+    def parameters(self, name: str) -> ParameterBox:
         kind, number = self._kind(name)
         box = read_parameters(self._folder / DEFAULT_VEHICLES.name, kind)
-        return drawn_box(kind, box, number) if number else box
+        return random_box(kind, box, number) if number else box
 
     def kinds(self) -> list[str]:
         return self.names()

@@ -29,7 +29,7 @@ CODE_LENGTH = 256
 DEFAULT_VEHICLES = Path(__file__).parent.parent / "weights" / "vehicles.safetensors"
 SIDES_M = (0.01, 0.5, LENGTH_M[1])
 """Smallest side; smallest and largest longest side. Wide enough for the dot or plate that a bad code decodes to."""
-SPHERES = (0.2, 4.0)
+LONGEST_SIDE_RADII = (0.2, 4.0)
 """Range of a vehicle's longest side in radii of the decoder's unit sphere; the shipped vehicles have 1.8 to 1.9."""
 LARGEST = 100.0  # absolute value in a tensor: codes in the decoder's unit, lengths in metres
 MEASURED_RESOLUTION = 129
@@ -84,7 +84,7 @@ def described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any
     return found
 
 
-def tensor_of(
+def checked_tensor(
     tensors: dict[str, NDArray[np.generic]], name: str, shape: tuple[int, ...], source: Path
 ) -> NDArray[np.float32]:
     """Return a tensor by name as float32. Raises: InputError if missing, not finite, or of wrong shape or dtype."""
@@ -107,7 +107,7 @@ def _checked(vehicle: Vehicle, source: Path) -> Vehicle:
     wrong = ""
     if not (SIDES_M[0] <= size.min() and SIDES_M[1] <= size.max() <= SIDES_M[2]):
         wrong = f"size_m {vehicle.size_m} is no vehicle's"
-    elif not SPHERES[0] * vehicle.scale_m <= size.max() <= SPHERES[1] * vehicle.scale_m:
+    elif not LONGEST_SIDE_RADII[0] * vehicle.scale_m <= size.max() <= LONGEST_SIDE_RADII[1] * vehicle.scale_m:
         wrong = f"scale_m {vehicle.scale_m:g} does not fit a vehicle of {size.max():g} m"
     elif rotation.shape != (3, 3) or not np.abs(rotation).max() <= 1.1:
         wrong = "sdf_R_object is no matrix of three unit vectors"
@@ -152,7 +152,7 @@ def baseline_vehicles(path: Path | str | None = None) -> dict[str, Vehicle]:
     tensors, metadata, source = read_tensors(path)
     vehicles = {}
     for name, facts in described(metadata, "baselines", source).items():
-        code = tensor_of(tensors, f"{name}.latent_code", (CODE_LENGTH,), source)
+        code = checked_tensor(tensors, f"{name}.latent_code", (CODE_LENGTH,), source)
         read = functools.partial(_from_facts, name, facts, code)
         vehicles[name] = _checked(_readable(f"baselines, {name[:80]!r}", source, read), source)
     return vehicles
@@ -167,9 +167,9 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
     tensors, metadata, source = read_tensors(path)
     facts = described(metadata, "family", source)
     types = _readable("family", source, lambda: [str(body_type) for body_type in facts["body_types"]])
-    codes = tensor_of(tensors, "family.codes", (len(types), CODE_LENGTH), source)
-    scales = tensor_of(tensors, "family.scale_m", (len(types),), source)
-    sizes = tensor_of(tensors, "family.size_m", (len(types), 3), source)
+    codes = checked_tensor(tensors, "family.codes", (len(types), CODE_LENGTH), source)
+    scales = checked_tensor(tensors, "family.scale_m", (len(types),), source)
+    sizes = checked_tensor(tensors, "family.size_m", (len(types), 3), source)
     vehicles = [
         Vehicle(
             name=f"{body_type}_{index}",
@@ -229,7 +229,7 @@ def decoded_corners(
     return decoded.min(axis=0), decoded.max(axis=0)
 
 
-def framed(
+def centred_vehicle(
     name: str,
     code: NDArray[np.float32],
     scale_m: float,

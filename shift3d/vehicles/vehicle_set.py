@@ -22,7 +22,7 @@ from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_safetensors
 from shift3d.store.atomic import write_atomic
-from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors
+from shift3d.vehicles.parameter_box import ParameterBox, parameter_tensors
 
 VEHICLES_FILE, DECODER_FILE, FACTS_FILE = "vehicles.safetensors", "sdf.safetensors", "sdf.json"
 RESOLUTION = 129  # nodes per axis of the unit sphere's cube for measured meshes: 4 cm apart for a car
@@ -58,7 +58,7 @@ class FittedVehicle:
         }
 
 
-def fitted(
+def decode_and_measure(
     name: str, body_type: str, decoder: Decoder, code: NDArray[np.float32], scale_m: float, mesh: trimesh.Trimesh
 ) -> tuple[FittedVehicle, trimesh.Trimesh]:
     """Decode a code and measure the surface against its mesh. Returns the vehicle, and the surface in metres.
@@ -75,7 +75,7 @@ def fitted(
 
 
 @dataclass(frozen=True)
-class KnownCodes:
+class TrainingVehicles:
     """Vehicles that a decoder was trained on: body types or kinds, codes (N, code), scales (N,), sizes (N, 3)."""
 
     body_types: tuple[str, ...]
@@ -89,8 +89,8 @@ def write_vehicle_set(
     decoder: Decoder | Path,
     vehicles: list[FittedVehicle],
     provenance: dict[str, Any],
-    boxes: Mapping[str, BoxOfParameters] | None = None,
-    known: KnownCodes | None = None,
+    boxes: Mapping[str, ParameterBox] | None = None,
+    known: TrainingVehicles | None = None,
 ) -> None:
     """Write the three files of a vehicle set to a folder, each atomically. The vehicles come last and complete the set.
 
@@ -118,7 +118,7 @@ def write_vehicle_set(
     for name, box in (boxes or {}).items():
         baselines[name]["parameters"] = list(box.names)
         tensors |= parameter_tensors(name, box)
-    known = known or KnownCodes(
+    known = known or TrainingVehicles(
         tuple(vehicle.body_type for vehicle in vehicles),
         np.array([vehicle.latent_code for vehicle in vehicles], np.float32),
         np.array([vehicle.scale_m for vehicle in vehicles]),

@@ -101,13 +101,13 @@ def _surface(values: Grid, low: NDArray[np.float64]) -> trimesh.Trimesh | None:
         return None
     vertices, faces, _, _ = marching_cubes(values, 1e-9, spacing=(CELL_M,) * 3)
     surface = trimesh.Trimesh(vertices + low, faces[:, ::-1], process=True)
-    surface.update_faces(uncollapsed(surface))
+    surface.update_faces(nondegenerate_faces(surface))
     if surface.volume < 0.0:
         surface.invert()
     return surface
 
 
-def uncollapsed(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
+def nondegenerate_faces(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
     """Mask (F,) of the faces with three different vertices. Slivers pass: removing them would open slits."""
     a, b, c = np.asarray(mesh.faces).T
     return np.asarray((a != b) & (b != c) & (c != a), np.bool_)

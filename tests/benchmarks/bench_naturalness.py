@@ -10,7 +10,7 @@ from benchmarks.results import Results
 
 from shift3d.naturalness.build import build_reference, load_reference
 from shift3d.naturalness.decoded import decoded_mesh
-from shift3d.naturalness.measure import Naturalness
+from shift3d.naturalness.measure import NaturalnessMeter
 from shift3d.naturalness.reference import ReferenceSet
 from shift3d.naturalness.sources import WideReference
 from shift3d.naturalness.surface import surface_of_mesh
@@ -49,7 +49,7 @@ def bench_prefilter(bench: Results, reference: ReferenceSet, quick: bool) -> Non
 
 def bench_a_code(bench: Results, reference: ReferenceSet) -> None:
     """Decoding and comparing the shipped vehicles and random codes about them."""
-    source, measures, rng = VehicleSet(), Naturalness(reference), np.random.default_rng(0)
+    source, measures, rng = VehicleSet(), NaturalnessMeter(reference), np.random.default_rng(0)
     decoder, whole, decoding = source.decoder(), [], []
     for name in source.names() * 2:
         vehicle = source.vehicle(name)

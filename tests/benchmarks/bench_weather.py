@@ -11,7 +11,7 @@ from benchmarks.timing import milliseconds, repeat
 
 from shift3d.effects.applicability import effect_named
 from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.weather.fog import soft_echo
+from shift3d.effects.weather.fog import fog_echo_table
 from shift3d.effects.weather.precipitation import crossings
 from shift3d.render.beams import Beams
 from shift3d.scenes.scene import Conditions, Scene
@@ -54,7 +54,7 @@ def bench_weather(bench: Results, name: str, quick: bool) -> None:
     def whole() -> Returns:
         return effect.bind(context)(returns)  # type: ignore[arg-type, return-value]
 
-    soft_echo.cache_clear()
+    fog_echo_table.cache_clear()
     crossings.cache_clear()
     first_ms = milliseconds(whole)
     timing = repeat(whole, budget_s=0.5 if quick else 3.0)

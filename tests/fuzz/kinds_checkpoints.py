@@ -24,7 +24,7 @@ from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.models.weights import load_weights
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.sdf.decoder import load_decoder
-from shift3d.sdf.foreign import load_experiment
+from shift3d.sdf.deepsdf_checkpoint import load_deepsdf_checkpoint
 from shift3d.vehicles.sources import VehicleSet, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle, family_seed, family_vehicles
 
@@ -177,7 +177,7 @@ def load_vehicles(folder: Path) -> Any:
 
 
 def load_any_experiment(folder: Path) -> Any:
-    experiment = load_experiment(folder)
+    experiment = load_deepsdf_checkpoint(folder)
     codes = experiment.codes
     assert codes.dtype == torch.float32 and codes.ndim == 2 and bool(torch.isfinite(codes).all())
     assert len(experiment.instances) == len(codes) and all(isinstance(name, str) for name in experiment.instances)

@@ -19,7 +19,7 @@ from valid_settings import installed, settings, write_installation
 from value_mutations import ODD_VALUES, mutate_values
 
 from shift3d.settings.catalogue.reading import accuracy_settings
-from shift3d.settings.compose import Composed, compose_sweep
+from shift3d.settings.compose import ComposedSweep, compose_sweep
 from shift3d.settings.expand import expand
 from shift3d.settings.schema.config import Config
 
@@ -95,7 +95,7 @@ def mutate_plain(folder: Path, rng: Rng) -> str:
 
 def load_values(folder: Path) -> Any:
     values = json.loads((folder / "values.json").read_text())
-    (config,) = expand(Composed("mine", (), values, ()))
+    (config,) = expand(ComposedSweep("mine", (), values, ()))
     return check(config)
 
 

@@ -13,12 +13,12 @@ from hard_scenes import PLAIN, beams_along_x, draw, pose
 from torch import Tensor
 from toy_detector import WaveDetector
 
-from shift3d.attack.pose import PoseLimits, snapped
+from shift3d.attack.pose import PoseLimits, snap_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.placement.constraints import ConstraintCheck, Constraints, check, is_clear, snap_to_ground
 from shift3d.placement.ground import fit_ground
-from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, Site, place, refusals
+from shift3d.placement.sampling import NoPlacement, Placement, PlacementContext, PlacementLimits, format_refusals, place
 from shift3d.render import Beams, preset
 from shift3d.render.field.object_field import ObjectField
 
@@ -217,7 +217,7 @@ def the_road_between_two_scan_lines() -> None:
         return check(metric, problem.obstacles_at(theta), theta, problem.size_m, 300, problem.limits)
 
     tilted = start + torch.tensor([0.0, 0.0, 0.0, 0.0, 0.1, 0.0])
-    sunk, on_road = (snapped(tilted, problem, metric, PoseLimits()) for problem in (only_points, with_ground))
+    sunk, on_road = (snap_pose(tilted, problem, metric, PoseLimits()) for problem in (only_points, with_ground))
     assert depth_m(sunk) > 0.1 and 0.02 < depth_m(on_road) < 0.07
     assert held_by(only_points, sunk).valid and not held_by(with_ground, sunk).overlap_ok
     assert held_by(with_ground, on_road).valid
@@ -243,7 +243,7 @@ def a_pose_with_no_rest_in_reach() -> None:
     metric = problem.metric(CODE)
     for height_m in (-1.5, 0.0, 2.0):
         moved = start + torch.tensor([0.0, -4.0, height_m, 0.3, 0.0, 0.0])
-        rests = snapped(moved, problem, metric, PoseLimits())
+        rests = snap_pose(moved, problem, metric, PoseLimits())
         assert abs(float(rests[2] - start[2])) < 0.1 and torch.equal(rests[[0, 1, 3, 4, 5]], moved[[0, 1, 3, 4, 5]])
         assert not check(metric, problem.obstacles_at(rests), rests, problem.size_m, 300, problem.limits).overlap_ok
 
@@ -259,9 +259,11 @@ def a_scene_without_room_for_the_object() -> None:
     wall = np.stack((30 * np.cos(angle), 30 * np.sin(angle), np.full_like(angle, 2.0)), axis=1).astype(np.float32)
     beams = Beams.from_arrays(wall, np.zeros(3, np.float32))
     limits = PlacementLimits(8.0, 12.0, attempts=7)
-    found = place(Site(beams, -1.73), soft_car(CODE), FRAME, np.random.default_rng(0), limits, settings=SETTINGS)
+    found = place(
+        PlacementContext(beams, -1.73), soft_car(CODE), FRAME, np.random.default_rng(0), limits, settings=SETTINGS
+    )
     assert isinstance(found, NoPlacement) and found.rejected == {"ground": 7}
-    assert found.attempts == 7 and refusals(found.rejected) == "no ground seen 7"
+    assert found.attempts == 7 and format_refusals(found.rejected) == "no ground seen 7"
 
 
 @hard_case(
@@ -285,7 +287,7 @@ def a_neighbour_at_exactly_the_clear_distance() -> None:
     guard="a place is rendered to what the dtype can reach on the vehicle",
 )
 def a_bus_in_units_of_twenty_metres() -> None:
-    site = Site(Beams.from_arrays(*ground_scan(rings=64)), -1.73)
+    site = PlacementContext(Beams.from_arrays(*ground_scan(rings=64)), -1.73)
     places = []
     for scale_m in (10.0, 17.0, 20.0):
         frame = Frame((18.0, 2.5, 3.2), scale_m)

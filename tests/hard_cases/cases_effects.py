@@ -26,9 +26,9 @@ from hard_echoes import (
 from shift3d.effects.applicability import effect_named
 from shift3d.effects.chain import NO_RETURN_M
 from shift3d.effects.physics import power
-from shift3d.effects.physics.power import PowerLimit
+from shift3d.effects.physics.power import DetectionLoss
 from shift3d.effects.weather import fog, precipitation, rain, snow
-from shift3d.effects.weather.wet_ground import reflected
+from shift3d.effects.weather.wet_ground import fresnel_reflectance
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
@@ -122,7 +122,7 @@ def a_surface_met_at_90_degrees_with_the_luckiest_draw() -> None:
     _, returns = on_object(ahead(30.0, 3), Conditions(), None, cosine=0.0)
     luck, echo = torch.zeros(3, dtype=torch.float64), power.echo_power(returns.albedo, returns.cosine, returns.range_m)
     for spread in (0.0, 0.5):
-        limit = PowerLimit(SensorModel(limit_range_m=80.0, power_spread=spread), power.least_power(80.0), luck, luck)
+        limit = DetectionLoss(SensorModel(limit_range_m=80.0, power_spread=spread), power.least_power(80.0), luck, luck)
         assert limit.lost(returns, echo, torch.ones_like(luck)).all()
 
 
@@ -232,7 +232,9 @@ def a_ground_of_reflectance_0_that_gets_wet() -> None:
 )
 def light_along_the_water_from_below() -> None:
     cosine = torch.tensor([0.0, 1e-9, 0.1, 0.5], dtype=torch.float64)
-    assert torch.allclose(reflected(cosine, 1.0 / 1.33), torch.ones(4, dtype=torch.float64), rtol=0, atol=1e-12)
+    assert torch.allclose(
+        fresnel_reflectance(cosine, 1.0 / 1.33), torch.ones(4, dtype=torch.float64), rtol=0, atol=1e-12
+    )
 
 
 @hard_case(

@@ -9,7 +9,7 @@ from catalogue import hard_case
 
 from shift3d.evaluation.average_precision import PrecisionRecall, area_exact, area_r40, greedy_curve, match_frame
 from shift3d.evaluation.bev_grid import bev_grid
-from shift3d.evaluation.frames import DetectedFrame, Found, Truth, compare, heading_accuracy
+from shift3d.evaluation.frames import DetectedFrame, FrameDetections, GroundTruth, compare, heading_accuracy
 from shift3d.evaluation.metrics import evaluate
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.evaluation.waymo import assign, waymo_curve
@@ -26,8 +26,8 @@ def frame(truth: np.ndarray, found: np.ndarray, *scores: float, points: int = 20
     count, boxes = len(truth), len(found)
     return DetectedFrame(
         "made",
-        Truth(truth, np.full(count, points), np.ones(count, bool), np.full(count, -1), ("Car",) * count),
-        Found(found, np.array(scores, dtype=float), np.ones(boxes, bool), np.full(boxes, np.nan)),
+        GroundTruth(truth, np.full(count, points), np.ones(count, bool), np.full(count, -1), ("Car",) * count),
+        FrameDetections(found, np.array(scores, dtype=float), np.ones(boxes, bool), np.full(boxes, np.nan)),
     )
 
 

@@ -12,7 +12,7 @@ from catalogue import hard_case
 from clear_errors import harmful, place, refused
 from valid_weights import NETWORKS, write_experiment
 
-from shift3d.sdf.foreign import load_experiment
+from shift3d.sdf.deepsdf_checkpoint import load_deepsdf_checkpoint
 
 AREA = "checkpoints"
 WEIGHTS, CODES, SPECS = "ModelParameters/latest.pth", "LatentCodes/latest.pth", "specs.json"
@@ -31,7 +31,7 @@ def experiment_after(part: str, change: Callable[[Any], object]) -> Any:
             path.write_text(json.dumps(content))
         else:
             torch.save(content, path)
-        return load_experiment(folder)
+        return load_deepsdf_checkpoint(folder)
 
 
 @hard_case(

@@ -13,11 +13,11 @@ from catalogue import hard_case
 from torch import Tensor
 from toy_detector import WaveDetector
 
+from shift3d.attack.gradient_free import evolve
 from shift3d.attack.joint import joint_search
 from shift3d.attack.loop import descend
 from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
-from shift3d.attack.score_only import evolve
 from shift3d.attack.shape import attack_shape, shape_search
 from shift3d.attack.space import free_space
 from shift3d.detectors.base import BevWindow, Proposals

@@ -21,7 +21,7 @@ from shift3d.sdf.samples import signed_distance
 from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
 from shift3d.vehicles.mesh_files import read_mesh
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.repair import repaired
+from shift3d.vehicles.repair import close_mesh
 from shift3d.vehicles.vehicle import Vehicle, baseline_vehicles
 
 AREA = "vehicle files"
@@ -159,7 +159,7 @@ def a_flat_mesh() -> None:
 def a_mesh_that_is_inside_out() -> None:
     turned = block(2.0, 0.8, 0.6)
     turned.invert()
-    mesh, report = repaired(turned, "car.ply")
+    mesh, report = close_mesh(turned, "car.ply")
     distance = signed_distance(mesh, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]]))
     assert np.allclose(distance, [-0.3, 1.7]) and report.flipped_pieces == 1 and not report.wrapped
 
@@ -172,7 +172,7 @@ def a_mesh_that_is_inside_out() -> None:
 )
 def a_mesh_with_a_hole() -> None:
     whole = block(2.0, 0.8, 0.6)
-    mesh, report = repaired(trimesh.Trimesh(whole.vertices, whole.faces[1:], process=False), "car.ply")
+    mesh, report = close_mesh(trimesh.Trimesh(whole.vertices, whole.faces[1:], process=False), "car.ply")
     assert report.filled_holes == 1 and report.widest_hole_m > 0.5 and not report.wrapped
     assert abs(mesh.volume - whole.volume) < 1e-9
 
@@ -187,7 +187,7 @@ def a_mesh_that_encloses_nothing() -> None:
     square = np.array([[-1.1, -0.4, 0.0], [1.1, -0.4, 0.0], [1.1, 0.4, 0.0], [-1.1, 0.4, 0.0]])
     upright = square[:, [0, 2, 1]] * (1.0, 1.0, 0.8)
     sheets = trimesh.Trimesh(np.concatenate([square, upright]), [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
-    refused(lambda: repaired(sheets, "sheets.ply"), "sheets.ply", "encloses no solid")
+    refused(lambda: close_mesh(sheets, "sheets.ply"), "sheets.ply", "encloses no solid")
 
 
 @hard_case(

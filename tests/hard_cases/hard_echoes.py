@@ -65,7 +65,7 @@ def scene_points(scene: Scene) -> Tensor:
 
 def without_tables() -> None:
     """Forget the tables of fog and rain: each run of a case is to make its own."""
-    fog.soft_echo.cache_clear()
+    fog.fog_echo_table.cache_clear()
     precipitation.crossings.cache_clear()
 
 

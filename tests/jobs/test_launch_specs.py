@@ -18,7 +18,7 @@ from jobs.kuberay_schema import RAY_JOB
 from shift3d.cli.command import key_values
 from shift3d.cli.commands.detectors import gate
 from shift3d.cli.completion import job_names
-from shift3d.cli.job_spec import JobSpec, read_job, take_job
+from shift3d.cli.job_spec import JobSpec, pop_job, read_job
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep, validate
@@ -35,7 +35,7 @@ def test_every_spec_is_looked_at_here() -> None:
 
 @pytest.mark.parametrize("name", OWN)
 def test_a_spec_of_ours_holds_runner_settings_that_a_sweep_takes(name: str) -> None:
-    job, words = take_job(["smoke", f"job={name}", "mode=shape"])
+    job, words = pop_job(["smoke", f"job={name}", "mode=shape"])
     assert job and words == ["smoke", "mode=shape"]
     composed = compose_sweep("smoke", [*job.overrides(["mode=shape"]), "mode=shape"])
     plain = compose_sweep("smoke", ["mode=shape"])
@@ -55,9 +55,9 @@ def test_what_the_command_says_of_the_runner_wins() -> None:
 
 def test_a_job_that_is_none_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match=r"job=moon cannot be read.*local, ray_cluster, ray_job"):
-        take_job(["job=moon"])
+        pop_job(["job=moon"])
     with pytest.raises(InputError, match="another tool"):
-        take_job(["job=kuberay"])
+        pop_job(["job=kuberay"])
     for text in ("kind: local\n", "[]\n", "kind: local\nrunner: {kind: ray}\nattack: {steps: 1}\n", "kind: [\n", ""):
         (tmp_path / "job.yaml").write_text(text)
         with pytest.raises(InputError, match=r"job\.yaml"):

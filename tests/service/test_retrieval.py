@@ -144,13 +144,13 @@ def test_what_was_lost_in_part_resumes_and_two_workers_come_to_the_same_bytes(
 
 
 def test_the_report_shows_both(out: Path) -> None:
-    from shift3d.analysis.cases.rendered import Loaded
+    from shift3d.analysis.cases.rendered import PageCache
     from shift3d.analysis.html.sections.patterns import patterns
     from shift3d.analysis.html.sections.retrieval import retrieval
     from shift3d.analysis.results import read_sweep
 
     sweep = read_sweep(out)
-    texts = repr(retrieval(sweep, Loaded(sweep.plan))) + repr(patterns(sweep))
+    texts = repr(retrieval(sweep, PageCache(sweep.plan))) + repr(patterns(sweep))
     assert "natural kin" in texts and "1 of 1" in texts and "2 refused" in texts and "windshield" in texts
     assert "cannot be drawn" not in texts
 

@@ -121,7 +121,7 @@ def _paper(mode: str, detector: str, scored_by: str) -> Mapping[str, Any]:
     found: dict[str, Any] = {}
     for method, of in table.aucs.by_method.items():
         names = list(of)
-        more = {"mean": table.aucs.mean(method, names), "of baseline": table.aucs.of_baseline(method, names)}
+        more = {"mean": table.aucs.mean(method, names), "of baseline": table.aucs.ratio_to_baseline(method, names)}
         found[method] = {key: {"value": value} for key, value in {**of, **more}.items() if value is not None}
     return found
 

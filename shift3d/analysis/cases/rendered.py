@@ -56,7 +56,7 @@ class Rendered:
 
 
 @dataclass
-class Loaded:
+class PageCache:
     """Shared data of one page's objects. Meshes are cached by vehicle, code and resolution: a fine one takes
     seconds."""
 
@@ -73,14 +73,14 @@ class Loaded:
     def mesh(self, task: PlannedTask, solution: Mapping[str, Any], resolution: int = 128) -> trimesh.Trimesh:
         """Return the mesh of a solution, object frame, metres. Raises InputError: the code has no surface."""
         assets, code = self.assets(task), np.array(solution["latent_code"], dtype=np.float32)
-        vehicle = assets.drawn_vehicle(task.spec, solution)
+        vehicle = assets.rendered_vehicle(task.spec, solution)
         key = (vehicle.name, code.tobytes(), resolution)
         if key not in self._meshes:
             self._meshes[key] = vehicle_mesh(vehicle, assets.decoder, code, resolution)
         return self._meshes[key]
 
 
-def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: FloatArray, loaded: Loaded) -> Rendered:
+def rerender(task: PlannedTask, solution: Mapping[str, Any], centre_xy: FloatArray, loaded: PageCache) -> Rendered:
     """Render a row of ``solutions.parquet`` as the sweep did, effects included.
 
     centre_xy: (2,) middle of the view.

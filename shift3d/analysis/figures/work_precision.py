@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
-from shift3d.accuracy_time.pareto import ZERO_BELOW, drawable, effective_error_m, misplaced
+from shift3d.accuracy_time.pareto import ZERO_BELOW, effective_error_m, log_axis_errors, misplaced_share
 from shift3d.analysis.figures.labels import place_labels
 from shift3d.analysis.figures.setting_marks import Style, joined, labels_of, mark_settings, same_as_presets, styles_of
 from shift3d.analysis.tables.table import length, milliseconds, share
@@ -36,7 +36,7 @@ class _Panel:
 
 _PANELS = (
     _Panel("error of a beam's depth, every failure counted", effective_error_m, length, 1e-9),
-    _Panel("hits missed or on a wrong surface", misplaced, share, 1e-5),
+    _Panel("hits missed or on a wrong surface", misplaced_share, share, 1e-5),
 )
 
 
@@ -75,7 +75,7 @@ def work_precision_figure(frame: pd.DataFrame, scenes: str | None = None) -> Fig
     figure.set_layout_engine("none")  # labels are placed in the final layout
     for (_, rows), pair in zip(groups, axes):
         for panel, part in zip(_PANELS, pair):
-            _place_labels(part, rows, drawable(panel.values(rows), panel.least), styles)
+            _place_labels(part, rows, log_axis_errors(panel.values(rows), panel.least), styles)
     return figure
 
 
@@ -90,7 +90,7 @@ def _groups(rows: pd.DataFrame, name: str) -> list[tuple[str, pd.DataFrame]]:
 
 def _draw(axes: Axes, rows: pd.DataFrame, panel: _Panel, styles: dict[str, Style]) -> None:
     values = panel.values(rows)
-    x, times = drawable(values, panel.least), rows["ms_median"].to_numpy()
+    x, times = log_axis_errors(values, panel.least), rows["ms_median"].to_numpy()
     spread = np.stack((times - rows["ms_low"], rows["ms_high"] - times))
     methods = rows["method"].to_numpy()
     axes.set_xscale("log")

@@ -52,7 +52,7 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Fold:
+class Collapsible:
     """Collapsible block: only its summary is initially visible."""
 
     summary: str
@@ -111,7 +111,20 @@ class TurnButtons:
 
 
 # The template renders each type by its name.
-Block = Paragraph | Heading | Items | Terms | Command | Fold | Panels | Article | Picture | Plot | TurnButtons | Table
+Block = (
+    Paragraph
+    | Heading
+    | Items
+    | Terms
+    | Command
+    | Collapsible
+    | Panels
+    | Article
+    | Picture
+    | Plot
+    | TurnButtons
+    | Table
+)
 
 
 @dataclass(frozen=True)
@@ -126,4 +139,4 @@ class Section:
 def folded(parts: Sequence[tuple[str, Sequence[Block]]], shown: int) -> list[Block]:
     """Show the first ``shown`` parts and fold the others under their summaries."""
     blocks: list[Block] = [block for _, part in parts[:shown] for block in part]
-    return [*blocks, *(Fold(summary, part) for summary, part in parts[shown:])]
+    return [*blocks, *(Collapsible(summary, part) for summary, part in parts[shown:])]

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from shift3d.analysis.cases.frozen import FrozenView
+from shift3d.analysis.cases.suite_views import FrozenView
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Article, Block, Panels, Paragraph, Plot, Section, Terms, missing
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import LEGEND_BELOW, axis, marks, plot, plotly_library, short
-from shift3d.analysis.html.scene_figures import dots, seen_from_above, true_to_scale
-from shift3d.analysis.statistics.releases import Rates
+from shift3d.analysis.html.scene_figures import dots, square_plot, top_view_traces
+from shift3d.analysis.statistics.releases import SimulatedRates
 from shift3d.analysis.tables.gate import Comparison, measures_table, power_table, simulation_table, worst_table
 
 _MEANING = {
@@ -33,7 +33,7 @@ def gate_html(
     sentence: str,
     caution: str,
     views: Mapping[str, FrozenView],
-    rates: Sequence[Rates],
+    rates: Sequence[SimulatedRates],
     facts: Mapping[str, str],
 ) -> str:
     """Render the whole page; the same result gives the same text.
@@ -77,9 +77,9 @@ def _articles(found: Comparison, views: Mapping[str, FrozenView]) -> list[Block]
 
 
 def _above(key: str, view: FrozenView) -> Plot:
-    traces, best = seen_from_above(view, COLOURS["adversarial"], "object's points")
+    traces, best = top_view_traces(view, COLOURS["adversarial"], "object's points")
     caption = f"From above, scene frame: {best}"
-    return true_to_scale(key, traces, caption, caption, view.box[:2], 10.0)
+    return square_plot(key, traces, caption, caption, view.box[:2], 10.0)
 
 
 def _side(key: str, view: FrozenView) -> Plot:
@@ -89,7 +89,7 @@ def _side(key: str, view: FrozenView) -> Plot:
     own = dots(view.object_side, COLOURS["adversarial"], 3, "object's points")
     traces = [dots(view.scene_side, "#8a8a8a", 2, "scene"), own, {**box, "line": {"color": "#2f9e44", "dash": "dash"}}]
     caption, middle = "From the side, front to the right", np.array([0.0, 1.0])
-    return true_to_scale(key, traces, caption, caption, middle, 5.0, names=("along, m", "height, m"))
+    return square_plot(key, traces, caption, caption, middle, 5.0, names=("along, m", "height, m"))
 
 
 def _scatter(found: Comparison) -> Plot:

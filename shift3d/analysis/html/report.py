@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from shift3d.analysis.cases.rendered import Loaded
+from shift3d.analysis.cases.rendered import PageCache
 from shift3d.analysis.html.blocks import Block, Section
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
@@ -15,15 +15,15 @@ from shift3d.analysis.html.sections.cases import hard_cases
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.effects import effects
 from shift3d.analysis.html.sections.gallery import gallery
-from shift3d.analysis.html.sections.in_short import in_short
 from shift3d.analysis.html.sections.overview import choices, coverage, overview
 from shift3d.analysis.html.sections.paths import paths
 from shift3d.analysis.html.sections.patterns import patterns, rules
 from shift3d.analysis.html.sections.retrieval import retrieval
 from shift3d.analysis.html.sections.stability import accuracy, stability
+from shift3d.analysis.html.sections.summary import in_short
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.auc import natural_search
-from shift3d.analysis.tables.coverage import nothing_placed, trial_caveat, unmoved
+from shift3d.analysis.tables.coverage import no_placement_message, small_sweep_warning, unresponsive_detectors
 from shift3d.analysis.variants import variants
 from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
@@ -35,12 +35,16 @@ from shift3d.wording import counted
 def report_page(sweep: Sweep, cases: int = 4) -> str:
     """Render the page of a sweep; the same sweep gives the same text. cases: maximum number of hard cases."""
     plan = sweep.plan
-    found, loaded = variants(sweep.auc, sweep.scored), Loaded(plan)
-    known = [trial_caveat(plan.tasks), unmoved(sweep.scores), *merged_lines(plan.tasks)]
+    found, loaded = variants(sweep.auc, sweep.scored), PageCache(plan)
+    known = [small_sweep_warning(plan.tasks), unresponsive_detectors(sweep.scores), *merged_lines(plan.tasks)]
     caveat = ". ".join(line for line in known if line)
     further = natural_search(sweep.scores)
     sections: list[tuple[str, str, Callable[[], list[Block]]]] = [
-        ("short", "In short", lambda: in_short(found, caveat, nothing_placed(sweep.scores, plan.settings), further)),
+        (
+            "short",
+            "In short",
+            lambda: in_short(found, caveat, no_placement_message(sweep.scores, plan.settings), further),
+        ),
         ("cases", "The hard cases", lambda: hard_cases(sweep, loaded, cases)),
         ("gallery", "Gallery", lambda: gallery(sweep, loaded)),
         ("budgets", "How hard vehicles get that stay vehicles", lambda: budgets(found)),

@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from shift3d.analysis.cases.chosen import Case
-from shift3d.analysis.cases.frozen import FrozenView
 from shift3d.analysis.cases.rendered import VIEW_M, Rendered, oriented, simplified
+from shift3d.analysis.cases.selection import Case
+from shift3d.analysis.cases.suite_views import FrozenView
 from shift3d.analysis.figures.picture import COLOURS, pixels_png
 from shift3d.analysis.html.blocks import Panels, Plot, TurnButtons
 from shift3d.analysis.html.figure import LEGEND_BELOW, axis, marks, plot
@@ -27,7 +27,7 @@ _NO_MARGIN = {"l": 0, "r": 0, "t": 0, "b": 0}
 _PAIR = ("baseline", "adversarial")
 
 
-def turnable(key: str, case: Case, before: Rendered, after: Rendered) -> tuple[Panels, TurnButtons]:
+def paired_3d_views(key: str, case: Case, before: Rendered, after: Rendered) -> tuple[Panels, TurnButtons]:
     """Create 3D views of baseline and adversarial vehicle at the same scale; rotating one rotates the other."""
     meshes = [_mesh(rendered, float(before.theta[3])) for rendered in (before, after)]
     both = np.concatenate([vertices for vertices, _ in meshes])
@@ -64,20 +64,20 @@ def _stage(low: FloatArray, high: FloatArray) -> dict[str, Any]:
     return {**hidden, "aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": _EYE}, "dragmode": "turntable"}
 
 
-def from_above(key: str, case: Case, before: Rendered, after: Rendered, centre_xy: FloatArray) -> Panels:
+def top_views(key: str, case: Case, before: Rendered, after: Rendered, centre_xy: FloatArray) -> Panels:
     """Create views of the scene around the vehicle before and after, with ground truth and best box."""
     views = []
     for name, rendered in zip(_PAIR, (before, after)):
         colour = COLOURS["adversarial" if name == "adversarial" else "random"]
-        traces, best = seen_from_above(rendered, colour, "vehicle's points")
+        traces, best = top_view_traces(rendered, colour, "vehicle's points")
         label = f"The scene from above, {case.vehicle.replace('_', ' ')} {name}: {best}"
         away = float(np.hypot(*rendered.theta[:2]))
         caption = f"{name.capitalize()}: {best}; sensor frame, {away:.1f} m from the sensor"
-        views.append(true_to_scale(f"{key}-above-{name}", traces, label, caption, centre_xy, VIEW_M, 420))
+        views.append(square_plot(f"{key}-above-{name}", traces, label, caption, centre_xy, VIEW_M, 420))
     return Panels(views)
 
 
-def seen_from_above(view: Rendered | FrozenView, colour: str, name: str) -> tuple[list[dict[str, Any]], str]:
+def top_view_traces(view: Rendered | FrozenView, colour: str, name: str) -> tuple[list[dict[str, Any]], str]:
     """Create traces of points, ground truth and best box, and a text about the box. colour, name: object's points."""
     traces = [
         dots(view.scene_xy, "#8a8a8a", 2, "scene"),
@@ -90,7 +90,7 @@ def seen_from_above(view: Rendered | FrozenView, colour: str, name: str) -> tupl
     return [*traces, outline(view.found, "#9b5de5", "solid", best.replace("box", "box,"))], best
 
 
-def true_to_scale(
+def square_plot(
     key: str,
     traces: list[dict[str, Any]],
     label: str,

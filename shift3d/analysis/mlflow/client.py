@@ -25,7 +25,7 @@ _LONGEST_PARAM = 500
 
 
 @contextlib.contextmanager
-def patience() -> Iterator[None]:
+def short_timeouts() -> Iterator[None]:
     """Make MLflow give up after seconds instead of minutes within this context."""
     added = {name: value for name, value in _PATIENCE.items() if name not in os.environ}
     os.environ.update(added)
@@ -38,7 +38,7 @@ def patience() -> Iterator[None]:
 
 def attempt(write: Callable[[], None]) -> str | None:
     """Call `write`. Returns None, or the reason why it failed: a command never fails because of its mirror."""
-    with patience():
+    with short_timeouts():
         try:
             write()
         except Exception as error:
@@ -124,7 +124,7 @@ def share_view(client: MlflowClient, experiment_id: str, metrics: Iterable[str])
     MLflow 3.17 keeps the columns of a run list in the browser, and initially shows no metrics. Users can share a view
     only by a link: an experiment tag holds the view as JSON, and the link contains the tag's key.
 
-    metrics: names as returned by `overall`; only means over vehicles become columns.
+    metrics: names as returned by `overall_metrics`; only means over vehicles become columns.
     """
     means = [f"metrics.`{name}`" for name in metrics if not name.startswith("auc/")]
     tag = client.get_experiment(experiment_id).tags.get(_VIEW_TAG)

@@ -6,7 +6,7 @@ import os
 import socket
 import warnings
 
-from shift3d.analysis.mlflow.client import patience, shared_views
+from shift3d.analysis.mlflow.client import shared_views, short_timeouts
 from shift3d.errors import InputError
 
 HOST = "127.0.0.1"
@@ -40,7 +40,7 @@ def serve(uri: str, listening: socket.socket) -> None:
     """
     import uvicorn  # before MLflow, which protects its routes against foreign origins only if uvicorn is loaded
 
-    with patience(), warnings.catch_warnings():
+    with short_timeouts(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # MLflow's imports warn about MLflow's own libraries
         from mlflow import MlflowClient
         from mlflow.server import constants

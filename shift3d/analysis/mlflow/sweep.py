@@ -22,7 +22,7 @@ from shift3d.analysis.mlflow.client import (
     runs_of,
     share_view,
 )
-from shift3d.analysis.mlflow.sweep_groups import MOST_GROUPS, Recall, budget_points, groups, overall
+from shift3d.analysis.mlflow.sweep_groups import MOST_GROUPS, Recall, budget_points, groups, overall_metrics
 from shift3d.analysis.tables.patterns import pattern_groups
 from shift3d.analysis.tables.retrieval import retrieval_groups
 from shift3d.store.resolve import LocationLike, local_copy
@@ -143,7 +143,7 @@ def _points(recalls: Mapping[str, Recall]) -> list[tuple[str, float, int]]:
 def _write_parent(client: MlflowClient, run_id: str, record: SweepRecord, children: str) -> list[str]:
     """Write AUCs, curves, counts and settings. Returns the names of the AUCs."""
     run = client.get_run(run_id)
-    aucs, recalls = overall(record.auc, record.curves)
+    aucs, recalls = overall_metrics(record.auc, record.curves)
     known = run.data.metrics
     values = {**aucs, **record.counts}
     changed = [(name, value, 0) for name, value in values.items() if known.get(name) != rounded(value)]

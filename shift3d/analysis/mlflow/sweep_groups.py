@@ -52,7 +52,7 @@ def groups(auc: pd.DataFrame, curves: pd.DataFrame) -> list[Group]:
     ]
 
 
-def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], dict[str, Recall]]:
+def overall_metrics(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], dict[str, Recall]]:
     """Compute AUCs by vehicle, their means over vehicles, and mean recall curves, all for the chosen lambda.
 
     Returns: ``auc/shape/coupe/adversarial`` and, for the mean, ``shape/adversarial`` to a number (short names, because
@@ -81,7 +81,7 @@ def budget_points(auc: pd.DataFrame) -> list[tuple[str, float, int]]:
     for curve in budget_curves(variants(auc)):
         for budget, variant in curve.variants.items():
             for method in ("random_budget", "adversarial"):
-                ratio = variant.aucs.of_baseline(method, variant.vehicles)
+                ratio = variant.aucs.ratio_to_baseline(method, variant.vehicles)
                 name = metric_name(f"auc_by_budget/{method}/{curve.title}")
                 points += [(name, ratio, round(min(budget, 101.0)))] if ratio is not None else []
     return points

@@ -35,7 +35,7 @@ def mean_interval(values: ArrayLike, groups: Sequence[object], others: Sequence[
     same interval. With few groups the interval is too narrow, as is usual for bootstraps: it covered the mean of normal
     draws in 88 % of the cases with 8 groups, 93 % with 20, 94 % with 40, 95 % with 200 (1,000 repetitions each).
 
-    others: N names of a second grouping whose groups are random draws too, see `_crossed`.
+    others: N names of a second grouping whose groups are random draws too, see `_two_way_interval`.
 
     Source: Efron's BCa bootstrap (scipy), clusters resampled (Davison and Hinkley 1997, section 3.8).
     """
@@ -44,7 +44,7 @@ def mean_interval(values: ArrayLike, groups: Sequence[object], others: Sequence[
     mean = float(numbers.mean())
     if others is not None:
         influences = (numbers - mean) / len(numbers)
-        return _crossed(mean_interval(values, groups), influences, groups, others)
+        return _two_way_interval(mean_interval(values, groups), influences, groups, others)
     if len(names) < 2:
         return Interval(mean, -np.inf, np.inf)
     sums, counts = (np.bincount(index, part).astype(np.float64) for part in (numbers, np.ones_like(numbers)))
@@ -80,12 +80,13 @@ def difference_interval(
     """Compute the mean of values (N,) inside minus that outside, with its percentile bootstrap over whole groups.
 
     inside: mask (N,), neither all True nor all False. The interval is infinite if fewer than two groups hold values on
-    either side. others: N names of a second grouping whose groups are random draws too, see `_beside_others`.
+    either side. others: N names of a second grouping whose groups are random draws too, see
+    `_between_vehicles_interval`.
     Source: Davison and Hinkley 1997, section 3.8 (clusters).
     """
     numbers = np.asarray(values, dtype=np.float64)
     if others is not None:
-        return _beside_others(difference_interval(values, inside, groups), numbers, inside, others)
+        return _between_vehicles_interval(difference_interval(values, inside, groups), numbers, inside, others)
     _, index = np.unique(np.asarray([str(group) for group in groups]), return_inverse=True)
     sides = []
     for rows in (inside, ~inside):
@@ -94,7 +95,7 @@ def difference_interval(
     mean = float(numbers[inside].mean() - numbers[~inside].mean())
     if any(int((count > 0).sum()) < 2 for _, count in sides):
         return Interval(mean, -np.inf, np.inf)
-    drawn = _redrawn(len(sides[0][1]), _DRAWS, "difference of means", len(numbers))
+    drawn = _bootstrap_counts(len(sides[0][1]), _DRAWS, "difference of means", len(numbers))
     with np.errstate(divide="ignore", invalid="ignore"):
         inner, outer = ((drawn @ sums) / (drawn @ count) for sums, count in sides)
     found = inner - outer
@@ -102,7 +103,7 @@ def difference_interval(
     return Interval(mean, min(float(low), mean), max(float(high), mean))
 
 
-def _beside_others(
+def _between_vehicles_interval(
     found: Interval, numbers: FloatArray, inside: NDArray[np.bool_], others: Sequence[object]
 ) -> Interval:
     """Widen a difference's interval over groups by the spread between groups of a second grouping, such as vehicles.
@@ -135,7 +136,9 @@ def _widened(found: Interval, variance: float, freedom: int) -> Interval:
     return Interval(found.mean, found.mean - below, found.mean + above)
 
 
-def _crossed(found: Interval, influences: FloatArray, groups: Sequence[object], others: Sequence[object]) -> Interval:
+def _two_way_interval(
+    found: Interval, influences: FloatArray, groups: Sequence[object], others: Sequence[object]
+) -> Interval:
     """Widen a mean's interval over groups by the variance that a second grouping of the same rows adds.
 
     Objects of one scene are not independent draws, nor are objects of one shape. The variance is that over the groups
@@ -182,7 +185,7 @@ def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
         return Interval(mean, mean, mean)
     without_one = _mean_of_means(sums.sum(axis=0) - sums, counts.sum(axis=0) - counts, axis=1)
     if np.ptp(without_one) <= 1e-12 * max(1.0, abs(mean)):
-        drawn = _vehicle_mean(_redrawn(len(places), _DRAWS, "flat jackknife", len(rows)), sums, counts)
+        drawn = _vehicle_mean(_bootstrap_counts(len(places), _DRAWS, "flat jackknife", len(rows)), sums, counts)
         low, high = np.quantile(drawn, _ENDS)
         return Interval(mean, min(float(low), mean), max(float(high), mean))
     return _bca((*sums.T, *counts.T), statistic, mean, len(rows))
@@ -194,7 +197,7 @@ def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame, others: str | No
     rows, reference: columns score, vehicle, place. A place is drawn with its rows of both parts, so that a hard scene
     affects numerator and denominator. Returns None if a part is empty or the reference is 0. The interval is infinite
     with a single place. Its upper end is infinite if in more than 2.5 % of the draws all reference scores are 0.
-    others: column of a second grouping whose groups are random draws too, see `_crossed`.
+    others: column of a second grouping whose groups are random draws too, see `_two_way_interval`.
     Source: Davison and Hinkley 1997, section 3.8 (clusters).
     """
     if rows.empty or reference.empty:
@@ -210,7 +213,7 @@ def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame, others: str | No
     ratio = float(_vehicle_mean(one, *above)[0] / whole)
     if len(places) < 2:
         return Interval(ratio, -np.inf, np.inf)
-    drawn = _redrawn(len(places), _DRAWS, "ratio of areas", len(rows), len(reference))
+    drawn = _bootstrap_counts(len(places), _DRAWS, "ratio of areas", len(rows), len(reference))
     with np.errstate(divide="ignore", invalid="ignore"):
         found = _vehicle_mean(drawn, *above) / _vehicle_mean(drawn, *below)
     ordered = np.sort(found[~np.isnan(found)])  # a draw without rows of one part has no ratio, nor has 0 / 0
@@ -230,7 +233,7 @@ def _crossed_ratio(rows: pd.DataFrame, reference: pd.DataFrame, others: str) -> 
     below = reference.groupby("vehicle")["score"].mean().mean()
     influences = np.concatenate((parts[0], -found.mean * parts[1])) / below
     both = pd.concat([rows, reference])
-    return _crossed(found, influences, both["place"], both[others])
+    return _two_way_interval(found, influences, both["place"], both[others])
 
 
 def _quantile(ordered: FloatArray, share: float) -> float:
@@ -239,7 +242,7 @@ def _quantile(ordered: FloatArray, share: float) -> float:
     return float(np.quantile(ordered, share)) if np.isfinite(above) else float(above)
 
 
-def _redrawn(places: int, draws: int, *seed: str | int) -> FloatArray:
+def _bootstrap_counts(places: int, draws: int, *seed: str | int) -> FloatArray:
     """Draw places with replacement. Returns counts (D, P) of each place in each draw."""
     rng = generator(*seed, places)
     return rng.multinomial(places, np.full(places, 1.0 / places), size=draws).astype(np.float64)
@@ -289,7 +292,7 @@ def resampled_band(
     mean = sums.sum(axis=0) / counts.sum()
     if len(counts) < 2:
         return mean, None, None
-    drawn = _redrawn(len(counts), _BAND_DRAWS, name, len(values))
+    drawn = _bootstrap_counts(len(counts), _BAND_DRAWS, name, len(values))
     low, high = np.quantile((drawn @ sums) / (drawn @ counts)[:, None], _ENDS, axis=0)
     # A skewed bootstrap may exclude its own estimate; a band that does not contain its curve would mislead.
     return mean, np.minimum(low, mean), np.maximum(high, mean)

@@ -14,7 +14,7 @@ from shift3d.analysis.statistics.rounding import without_rounding
 
 
 @dataclass(frozen=True)
-class Paired:
+class PairedDifference:
     """Difference between the scores of two methods on the same tasks. interval: mean difference, scenes resampled.
     p_value: Wilcoxon's signed-rank test, two-sided, over the scenes' mean differences; None with a single scene."""
 
@@ -24,7 +24,7 @@ class Paired:
     tasks: int
 
 
-def paired(rows: pd.DataFrame, method: str, reference: str) -> Paired | None:
+def paired(rows: pd.DataFrame, method: str, reference: str) -> PairedDifference | None:
     """Compare two methods task by task: method - reference, replicates averaged. Returns None if no task has both.
 
     rows: columns task_id, place, method, score. Differences at rounding level count as 0. Source: our choice: the paper
@@ -39,7 +39,7 @@ def paired(rows: pd.DataFrame, method: str, reference: str) -> Paired | None:
     difference[:] = without_rounding(difference.to_numpy())
     places = list(difference.index.get_level_values("place"))
     by_scene = without_rounding(difference.groupby(level="place").mean().to_numpy())
-    return Paired(mean_interval(difference, places), _signed_rank(by_scene), len(by_scene), len(difference))
+    return PairedDifference(mean_interval(difference, places), _signed_rank(by_scene), len(by_scene), len(difference))
 
 
 def _signed_rank(differences: NDArray[np.float64]) -> float | None:

@@ -19,7 +19,7 @@ _FLOOR = 0.005
 
 
 @dataclass(frozen=True)
-class Rule:
+class ReleaseRule:
     """Rule that decides whether a release is worse. A measure stops the release if it fell by ``tolerance`` or more and
     its one-sided p-value, corrected for the number of measures, is at most ``level``. A score above ``score_threshold``
     is a detection. Source: our choice."""
@@ -34,7 +34,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Rates:
+class SimulatedRates:
     """Rates of simulated releases. churn: standard deviation of the logit noise. lost: share of the hard objects that a
     release without a loss fails to detect (it gains as many). false_alarms: share stopped without a loss. found: share
     stopped with the loss; None if too few objects are detected for the loss."""
@@ -63,9 +63,9 @@ def stopped_releases(
     places: Sequence[str],
     churn: float,
     loss: float,
-    rule: Rule,
+    rule: ReleaseRule,
     releases: int = 200,
-) -> Rates:
+) -> SimulatedRates:
     """Simulate releases around the scores (N,) of N objects in N named places, and count those that the gate stops.
 
     Both releases of a pair are the scores' logits with normal noise of standard deviation ``churn``; objects of a scene
@@ -100,4 +100,4 @@ def stopped_releases(
         p_values = flip_p_values(scene_sums(differences, places), _SIMULATED_FLIPS)
         rates.append(float(rule.stops(differences.sum(axis=0) / sizes, p_values).any(axis=-1).mean()))
     lost = ((before > score_threshold) & (after <= score_threshold))[hard].mean()
-    return Rates(churn, float(lost), rates[0], rates[1] if feasible else None)
+    return SimulatedRates(churn, float(lost), rates[0], rates[1] if feasible else None)

@@ -9,7 +9,7 @@ import pandas as pd
 
 from shift3d.analysis.results import natural_by_task
 from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_interval
-from shift3d.analysis.tables.paper import paper_beside
+from shift3d.analysis.tables.paper import paper_table_of
 from shift3d.analysis.tables.table import Cell, Table, between, number
 from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores, differing_settings
 from shift3d.methods import METHODS
@@ -41,7 +41,7 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
         for part in (group, natural):
             aucs, vehicles = aucs_of_scores(part), list(dict.fromkeys(part["vehicle"]))
             line += [number(aucs.mean(method, vehicles)) for method in ("baseline", "adversarial")]
-            line.append(number(aucs.of_baseline("adversarial", vehicles), 2))
+            line.append(number(aucs.ratio_to_baseline("adversarial", vehicles), 2))
         lines.append(line)
     header = ["", "natural", "baseline", "adversarial", "ratio", "natural: baseline", "adversarial", "ratio"]
     return Table(f"Natural adversarial shapes ({NATURAL_RULE})", header, lines)
@@ -63,7 +63,7 @@ def auc_table(variant: Variant, in_full: bool = False) -> Table:
     in_full: add 95 % intervals and numbers of scenes as notes, and the paper's rows; takes a second or two.
     """
     vehicles = variant.vehicles
-    paper = paper_beside(variant) if in_full else None
+    paper = paper_table_of(variant) if in_full else None
     lines: list[Sequence[Cell]] = []
     kinds: list[str] = []
     for method in METHODS:
@@ -103,10 +103,10 @@ def _line(
     values = [number(aucs.of(method, vehicle)) for vehicle in vehicles]
     mean = number(aucs.mean(method, vehicles))
     if rows is None or rows.empty:
-        return [label, *values, mean, number(aucs.of_baseline(method, vehicles), 2)]
+        return [label, *values, mean, number(aucs.ratio_to_baseline(method, vehicles), 2)]
     own, baseline = with_baseline(rows, method)
     both = pd.concat([own, baseline]) if method != "baseline" else own
-    ratio = number(aucs_of_scores(both).of_baseline(method, vehicles), 2)
+    ratio = number(aucs_of_scores(both).ratio_to_baseline(method, vehicles), 2)
     if not in_full:
         return [label, *values, mean, ratio]
     each = [_noted(value, own[own["vehicle"] == vehicle]) for value, vehicle in zip(values, vehicles)]

@@ -34,7 +34,7 @@ def sweep_report(sweep: Sweep) -> str:
         *choice_tables(sweep.choices),
         "\n".join(reasons(sweep.choices)),
         "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
-        searched_elsewhere(sweep.scores, sweep.timings),
+        missing_search_scenes(sweep.scores, sweep.timings),
         stage_times(sweep.timings, sweep.scores) if len(sweep.timings) else "no timings",
         "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
         f"{preset_table()}\n{legend(preset_meanings())}",
@@ -48,7 +48,7 @@ _LEAST_STEPS, _LEAST_SCENES = 10, 4
 _SAME_SCORE = 1e-6
 
 
-def trial_caveat(tasks: Tasks) -> str | None:
+def small_sweep_warning(tasks: Tasks) -> str | None:
     """Return a warning if a sweep is too small for meaningful AUCs, with a command for meaningful ones, else None.
 
     tasks: all tasks of the plan; the largest number of steps counts. Random searches and pure edits count no steps.
@@ -68,7 +68,7 @@ def trial_caveat(tasks: Tasks) -> str | None:
     return f"A trial: these AUCs mean nothing, with {' and '.join(reasons)}. AUCs that do: {command}"
 
 
-def nothing_placed(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | None:
+def no_placement_message(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | None:
     """Return a message if no vehicle found a place, with the limits and the settings to widen, else None.
 
     Args: scores: the table of ``final/``. settings: settings of the sweep's first task.
@@ -86,7 +86,7 @@ def nothing_placed(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | N
     )
 
 
-def unmoved(scores: pd.DataFrame) -> str | None:
+def unresponsive_detectors(scores: pd.DataFrame) -> str | None:
     """Return a warning that names the detectors whose score never reacts to changes of the vehicle, else None.
 
     scores: the table of ``final/``. Only tasks whose rows differ in their number of points on the vehicle count.
@@ -126,7 +126,7 @@ def coverage_lines(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int, s
     return lines
 
 
-def searched_elsewhere(scores: pd.DataFrame, timings: pd.DataFrame) -> str:
+def missing_search_scenes(scores: pd.DataFrame, timings: pd.DataFrame) -> str:
     """Return a note if universal shapes were searched in fewer scenes than requested, else an empty text."""
     found = timings[timings["stage"] == "search_scenes"].set_index("task_id")["calls"]
     search = scores.drop_duplicates("task_id").set_index("task_id")["search"].loc[found.index]

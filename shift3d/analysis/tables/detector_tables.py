@@ -11,11 +11,11 @@ import pyarrow as pa
 
 from shift3d.analysis.tables.table import Table, number
 from shift3d.evaluation.breakdown import BreakdownRow
-from shift3d.evaluation.frames import DetectedFrame, Found, Truth
+from shift3d.evaluation.frames import DetectedFrame, FrameDetections, GroundTruth
 from shift3d.evaluation.metrics import RANGES_M, Metric
 from shift3d.evaluation.vehicles import ERRORS, VehicleRows
 from shift3d.store.evaluation_tables import evaluation_table
-from shift3d.training.detector.detect_scenes import Answer
+from shift3d.training.detector.detect_scenes import SceneDetections
 
 _MEASURES = (
     ("AP", "BEV", "BEV AP"),
@@ -117,7 +117,7 @@ _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 
 
 def evaluation_tables(
-    detector: str, dataset: str, answers: Sequence[Answer], metrics: Sequence[Metric]
+    detector: str, dataset: str, answers: Sequence[SceneDetections], metrics: Sequence[Metric]
 ) -> dict[str, pa.Table]:
     """Build the tables of an evaluation by name; rows follow the order of scenes and metrics."""
     run = {"detector": detector, "dataset": dataset}
@@ -182,7 +182,7 @@ def _joined(parts: Sequence[object], *names: str) -> dict[str, Any]:
     return {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
 
 
-def _boxes(frames: Sequence[DetectedFrame], parts: Sequence[Found | Truth]) -> dict[str, Any]:
+def _boxes(frames: Sequence[DetectedFrame], parts: Sequence[FrameDetections | GroundTruth]) -> dict[str, Any]:
     """Return scene and box columns of the detections or the ground truth of all frames, one row per box."""
     scenes = [frame.scene for frame, part in zip(frames, parts, strict=True) for _ in part.boxes]
     return {"scene": scenes, **dict(zip(_BOX, _joined(parts, "boxes")["boxes"].T, strict=True))}

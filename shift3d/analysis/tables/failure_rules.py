@@ -61,7 +61,7 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     The test groups are the same vehicles in the other scenes, the other vehicles, and the scores that other detectors
     give to all of these. Each rule is tested on the objects that no earlier rule matches.
 
-    objects: see `rules_objects`; objects that `left_out` counts are excluded.
+    objects: see `rule_objects`; objects that `left_out` counts are excluded.
     Raises: InputError: there are too few scenes to find rules on some and test them on others.
     Source: our choice.
     """
@@ -102,7 +102,7 @@ def _known(objects: pd.DataFrame) -> list[str]:
 
 
 def left_out(objects: pd.DataFrame) -> str | None:
-    """Describe the objects excluded for missing sizes (no surface), or None. objects: see `rules_objects`."""
+    """Describe the objects excluded for missing sizes (no surface), or None. objects: see `rule_objects`."""
     lacking = int(objects[_known(objects)].isna().any(axis=1).sum())
     if not lacking:
         return None
@@ -110,7 +110,7 @@ def left_out(objects: pd.DataFrame) -> str | None:
     return f"{lacking} of {counted(len(objects), 'scored object')} {which} left out: their sizes are not known"
 
 
-def rules_objects(sweep: Sweep) -> pd.DataFrame:
+def rule_objects(sweep: Sweep) -> pd.DataFrame:
     """Build the table of scored baseline, random and adversarial objects with all quantities, one row per detector.
 
     Sizes are NaN for shapes that were not measured; objects of a pose task have the baseline's sizes. A baseline that

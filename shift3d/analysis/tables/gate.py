@@ -12,7 +12,13 @@ import pandas as pd
 from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.statistics.loss import detectable_loss, flip_p_values, objects_needed, scene_sums
-from shift3d.analysis.statistics.releases import MEASURES, Rates, Rule, measured_differences, stopped_releases
+from shift3d.analysis.statistics.releases import (
+    MEASURES,
+    ReleaseRule,
+    SimulatedRates,
+    measured_differences,
+    stopped_releases,
+)
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.wording import counted
 
@@ -24,7 +30,7 @@ _NOISES = (0.05, 0.1, 0.2, 0.4)
 
 
 @dataclass(frozen=True)
-class Measure:
+class MeasureChange:
     """One measure of one role's objects. change: after minus before, with its interval over scenes. p_value: one-sided,
     of a loss, corrected for the number of measures. worse: True if the measure stops the release."""
 
@@ -47,8 +53,8 @@ class Comparison:
     """Two releases on the same objects. rows: table of ``gate.parquet``, worst first: lost, then by change of score."""
 
     rows: pd.DataFrame
-    measures: tuple[Measure, ...]
-    rule: Rule
+    measures: tuple[MeasureChange, ...]
+    rule: ReleaseRule
 
     @property
     def worse(self) -> bool:
@@ -97,7 +103,9 @@ class Comparison:
         return f"No loss found against {against}: {counts}. With {counted(number, 'hard object')}, {shown}."
 
 
-def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[str, float], rule: Rule) -> Comparison:
+def compare(
+    objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[str, float], rule: ReleaseRule
+) -> Comparison:
     """Compare scores by object_id. objects: table of the suite."""
     rows = objects[["object_id", "role", "task_id", "method", "vehicle", "scene", "dataset", "mode"]].copy()
     rows["range_m"] = np.hypot(objects["x_m"], objects["y_m"])
@@ -118,7 +126,7 @@ def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[s
         change = mean_interval(differences[own, column], [place for place, taken in zip(places, own) if taken])
         old, new = (float(part[own].mean()) for part in values)
         stops = bool(rule.stops(np.array(change.mean), p_values[column]))
-        measures.append(Measure(role, name, old, new, change, float(p_values[column]), stops))
+        measures.append(MeasureChange(role, name, old, new, change, float(p_values[column]), stops))
     rows["lost"] = rows["detected_before"] & ~rows["detected"]
     ordered = rows.sort_values(["lost", "change", "object_id"], ascending=[False, True, True], kind="stable")
     return Comparison(ordered.drop(columns="lost").reset_index(drop=True), tuple(measures), rule)
@@ -179,7 +187,7 @@ def power_table(measures: int, level: float) -> Table:
     return Table(f"Hard objects that show a loss of {100 * _LOSS:g} points of recall, at most", header, lines)
 
 
-def simulated_rates(found: Comparison) -> list[Rates]:
+def simulated_rates(found: Comparison) -> list[SimulatedRates]:
     """Compute the rate at which this gate stops releases simulated around the scores before, by noise level."""
     rows = found.rows.sort_values("object_id", kind="stable")
     hard, places = (rows["role"] == "hard").to_numpy(), list(places_of(rows))
@@ -187,7 +195,7 @@ def simulated_rates(found: Comparison) -> list[Rates]:
     return [stopped_releases(scores, hard, places, noise, _LOSS, found.rule) for noise in _NOISES]
 
 
-def simulation_table(rates: Sequence[Rates]) -> Table:
+def simulation_table(rates: Sequence[SimulatedRates]) -> Table:
     """Build the table of `simulated_rates`."""
     lines = [
         [

@@ -32,7 +32,7 @@ def paper_table(mode: str, detector: str, scored_by: str) -> PaperTable | None:
     return _tables().get((mode, detector.removesuffix("_small"), scored_by.removesuffix("_small")))
 
 
-def paper_beside(variant: Variant) -> PaperTable | None:
+def paper_table_of(variant: Variant) -> PaperTable | None:
     """Return the paper's table of a variant's vehicles; None unless the search is a descent over every code."""
     found = paper_table(variant.mode, variant.detector, variant.scored_by) if variant.search == "descent" else None
     known = {name for row in found.aucs.by_method.values() for name in row} if found else set()

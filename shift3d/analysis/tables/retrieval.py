@@ -69,7 +69,7 @@ def controls_of(retrieved: pd.DataFrame) -> pd.DataFrame:
     return retrieved[(retrieved["role"] == "control") & ~retrieved["excluded"].astype(bool)]
 
 
-def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
+def pool_vehicle_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
     """Return the pool vehicle of a row of ``retrieved``. Raises InputError: the pool lacks this vehicle."""
     key = ["dataset", "scene", "label"]
     found = pool[(pool[key] == [row[f"pool_{name}"] for name in key]).all(axis=1)]
@@ -80,7 +80,7 @@ def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
 
 
 @dataclass(frozen=True)
-class Kin:
+class NaturalKinGroup:
     """Natural kin (nearest real vehicles) of one search. rows: see `kept`. solutions: number of all solutions."""
 
     label: str
@@ -101,7 +101,7 @@ class Kin:
         return means | {"controls": float(self.matched["control"].mean())}
 
 
-def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
+def retrieval_groups(retrieved: pd.DataFrame) -> list[NaturalKinGroup]:
     """Group the kin that the paper's rule keeps by search and scoring detector. retrieved: the table of ``final/``."""
     retrieved = retrieved.assign(settings=differing_settings(retrieved, ("accuracy",)))
     solutions = retrieved[retrieved["role"] == "retrieved"]
@@ -109,7 +109,7 @@ def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
     found = []
     for key, rows in kept(retrieved).groupby(_GROUP, sort=False, dropna=False):
         *search, scored_by = key
-        found.append(Kin(search_label(*search), scored_by, rows, int(counts.loc[key])))
+        found.append(NaturalKinGroup(search_label(*search), scored_by, rows, int(counts.loc[key])))
     return found
 
 

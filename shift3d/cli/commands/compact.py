@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from shift3d.cli.command import Command
-from shift3d.cli.commands.gc import OUT, dry_run, sweeps_in
+from shift3d.cli.commands.gc import OUT, dry_run, sweep_and_follow_up_folders
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
@@ -24,7 +24,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.store.housekeeping import compact
     from shift3d.store.log_entries import read_log
 
-    for folder in sweeps_in(arguments.out):
+    for folder in sweep_and_follow_up_folders(arguments.out):
         if arguments.dry_run:
             entries = read_log(folder)
             segments = [name for entry in entries for name in entry.segments]

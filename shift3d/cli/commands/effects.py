@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
@@ -78,5 +78,5 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 COMMAND = Command(
-    "effects", "the measured impact of each effect", _DESCRIPTION, _EPILOG, _run, FINISHED, options=_options
+    "effects", "the measured impact of each effect", _DESCRIPTION, _EPILOG, _run, FINISHED_SWEEP_HELP, options=_options
 )

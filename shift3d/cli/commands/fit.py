@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command, key_values, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
+from shift3d.cli.mesh_arguments import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
@@ -65,7 +65,7 @@ def _doubts(fit: MeshFit, frame: MeshFrame, out: Path) -> list[str]:
         words = " ".join(f"{key}={getattr(other, key)}" for key in keys)
         doubts.append(f"fits better with {words}: {100 * chamfer_m:.1f} cm")
     if fit.far:
-        usual = f"{100 * fit.usual_m:.1f} cm is usual for a car of this length"
+        usual = f"{100 * fit.typical_chamfer_m:.1f} cm is usual for a car of this length"
         why = "perhaps for its orientation" if fit.better else "the decoder cannot draw it"
         doubts.append(f"far from its mesh ({usual}), {why}: see {out / fit.picture}")
     return doubts

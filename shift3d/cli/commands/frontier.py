@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from shift3d.cli.command import Command, writable_folder
 from shift3d.cli.completion import key_words, overrides
 from shift3d.cli.outcomes import mirror
-from shift3d.cli.words import take_folders
+from shift3d.cli.sweep_arguments import pop_folders
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.progress_bar import progress_bar
@@ -22,7 +22,7 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.accuracy_time.drive import FrontierPlan, SceneGroup
     from shift3d.accuracy_time.settings import Setting
-    from shift3d.settings.accuracy_time import FrontierSweep
+    from shift3d.settings.accuracy_time import FrontierSweepConfig
 
 _NAME = "accuracy_time"
 _WINDOW_M = 12.0  # detector window of the ground truth: wider than the window of any setting, whole scenes excepted
@@ -62,7 +62,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     words = [re.sub(r"^kitti=", "frontier.kitti=", word) for word in arguments.words]
-    out, words = take_folders("out", words)
+    out, words = pop_folders("out", words)
     config = _config(words)
     check_tracking(config.tracking)
     plan, left_out = plan_of(config, arguments.only, arguments.quick)
@@ -77,13 +77,13 @@ def _run(arguments: argparse.Namespace) -> int:
         print("interrupted: the same command resumes", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not part:
-        from shift3d.analysis.mlflow.measured import mirror_frontier
+        from shift3d.analysis.mlflow.measurement_runs import mirror_frontier
 
         mirror(config.tracking, partial(mirror_frontier, folder))
     return 0
 
 
-def _config(words: list[str]) -> FrontierSweep:
+def _config(words: list[str]) -> FrontierSweepConfig:
     from shift3d.settings.accuracy_time import validate_frontier
     from shift3d.settings.compose import compose_sweep
 
@@ -94,13 +94,13 @@ def _config(words: list[str]) -> FrontierSweep:
     return validate_frontier(composed.base, f"sweep {_NAME}")
 
 
-def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[FrontierPlan, list[str]]:
+def plan_of(config: FrontierSweepConfig, only: str | None, quick: bool) -> tuple[FrontierPlan, list[str]]:
     """Return the plan, and the names of settings left out for lack of bfloat16 instructions.
 
     Raises: InputError: an invalid pattern, or no setting left to measure.
     """
     from shift3d.accuracy_time.drive import FrontierPlan
-    from shift3d.accuracy_time.run import Repeats
+    from shift3d.accuracy_time.run import RepeatLimits
     from shift3d.processor import has_fast_bfloat16
     from shift3d.settings.accuracy_time import expand_settings
 
@@ -127,7 +127,7 @@ def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[Front
         cases=tuple((case.vehicle, case.range_m) for case in cases),
         reference=_preset("reference", _WINDOW_M),
         search=_preset("standard", _WINDOW_M),
-        repeats=Repeats(repeats, section.seconds, section.slow_s),
+        repeats=RepeatLimits(repeats, section.seconds, section.slow_s),
         descent_steps=steps,
         warm_steps=section.warm_steps,
         within_m=section.within_m,
@@ -163,7 +163,7 @@ def _preset(name: Any, crop_m: float) -> Setting:
     return Setting(name, "presets", accuracy_settings(AccuracyConfig(name=name, render={})), crop_m=crop_m)
 
 
-def groups_of(config: FrontierSweep) -> list[SceneGroup]:
+def groups_of(config: FrontierSweepConfig) -> list[SceneGroup]:
     """Return the sweep's scenes, and KITTI frames if requested. Raises: InputError: a folder without frames."""
     from shift3d.accuracy_time.drive import SceneGroup
     from shift3d.settings.catalogue.detector_files import detector_layouts
@@ -202,7 +202,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     return groups
 
 
-def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: bool) -> None:
+def _measure(config: FrontierSweepConfig, plan: FrontierPlan, folder: Path, again: bool) -> None:
     from shift3d.accuracy_time.drive import measure_frontier
     from shift3d.accuracy_time.rows import frontier_rows
     from shift3d.accuracy_time.timing import machine

@@ -33,7 +33,7 @@ def dry_run(done: str, do: str) -> Callable[[argparse.ArgumentParser], object]:
     )
 
 
-def sweeps_in(out: str) -> list[Location]:
+def sweep_and_follow_up_folders(out: str) -> list[Location]:
     """Return a sweep's folder and those of its verification, patterns and retrievals. Raises: InputError: no sweep."""
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec
@@ -48,7 +48,7 @@ def sweeps_in(out: str) -> list[Location]:
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.store.housekeeping import collect, find_garbage
 
-    for folder in sweeps_in(arguments.out):
+    for folder in sweep_and_follow_up_folders(arguments.out):
         garbage = find_garbage(folder)
         action = "would be removed" if arguments.dry_run else "removed"
         print(

@@ -8,7 +8,7 @@ from typing import Any
 
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
-from shift3d.settings.folders import files, looked_in, shown
+from shift3d.settings.folders import files, searched_folders_text, shown
 
 _DESCRIPTION = """\
 Lists the launch specs: how a sweep is started on this machine, a Ray cluster, Kubernetes, Slurm or AWS. NAME prints one
@@ -40,7 +40,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if path is None:
         from shift3d.settings.messages import choice_error
 
-        raise choice_error("job", arguments.name, found, "jobs", looked_in("jobs"))
+        raise choice_error("job", arguments.name, found, "jobs", searched_folders_text("jobs"))
     try:
         print(path.read_text(), end="")
     except (OSError, ValueError) as error:

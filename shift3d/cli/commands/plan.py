@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from shift3d.cli import words
+from shift3d.cli import sweep_arguments
 from shift3d.cli.command import Command
 from shift3d.cli.completion import plan_words
 from shift3d.wording import counted
@@ -50,7 +50,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
 
     sweep_words: words of the command. tasks: list every task. places: count the places of each scene.
     """
-    from shift3d.analysis.forecast import expected_lines
+    from shift3d.analysis.forecast import run_time_lines
     from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.planning.folder import check_folder, default_folder
@@ -58,10 +58,10 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
     from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
     from shift3d.sweep.planning.spec_file import read_spec
 
-    timings, rest = words.take_folders("timings", sweep_words)
+    timings, rest = sweep_arguments.pop_folders("timings", sweep_words)
     for other in timings:
         read_spec(other)  # refuses a folder that is not a sweep's, as read_words does for reuse=
-    request = words.read_words(rest)
+    request = sweep_arguments.read_words(rest)
     if request.out:
         request.out.check_writable()
     begun = request.out is not None and (request.out / "spec.yaml").is_file()
@@ -72,7 +72,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
     folder = request.out or (None if plan.preview else default_folder(plan))
     if folder:
         check_folder(folder, plan)
-    print(expected_lines(plan, folder, request.reuse, timings, config.runner))
+    print(run_time_lines(plan, folder, request.reuse, timings, config.runner))
     unnamed = f"outputs/{plan.sweep}-HASH, by what its scenes hold: --tasks makes them and names it"
     print(f"would write to {folder or unnamed}")
     for line in plan_lines(plan) if tasks else ():
@@ -105,8 +105,8 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    words=words.SWEEP_WORDS,
-    metavar=words.SWEEP_METAVAR,
+    words=sweep_arguments.SWEEP_WORDS,
+    metavar=sweep_arguments.SWEEP_METAVAR,
     complete=plan_words,
     options=add_tasks,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 
 _DESCRIPTION = """\
 Writes OUT/report.html, one page that needs nothing but itself: the result in short, the hard cases in 3D, 50 solutions
@@ -38,4 +38,6 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("report", "write a finished sweep's page", _DESCRIPTION, _EPILOG, _run, FINISHED, options=_options)
+COMMAND = Command(
+    "report", "write a finished sweep's page", _DESCRIPTION, _EPILOG, _run, FINISHED_SWEEP_HELP, options=_options
+)

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, take_words
+from shift3d.cli.command import Command, pop_values
 from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 from shift3d.wording import counted
@@ -47,7 +47,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if action not in _ACTIONS:
         what = f"cannot read {action!r}" if action else "nothing is asked for"
         raise InputError(what, "scenes", f"Give one of: {', '.join(_ACTIONS)}")
-    out, settings = take_words("out", words)
+    out, settings = pop_values("out", words)
     config = _config(settings)
     if action == "list":
         if out:
@@ -85,7 +85,7 @@ def _list(config: Config) -> int:
 def _show(config: Config, out: str | None) -> int:
     from pathlib import Path
 
-    from shift3d.scenes.description import scene_lines
+    from shift3d.scenes.description import describe_scene
     from shift3d.settings.schema.scenes import scene_set
     from shift3d.store.atomic import check_writable
     from shift3d.task.places import NO_GROUND, survey_scene
@@ -99,7 +99,7 @@ def _show(config: Config, out: str | None) -> int:
     scenes = scene_set(config.scenes)
     name = config.scene or scenes.names()[0]
     scene = scenes.load(name)
-    print("\n".join(scene_lines(scene)))
+    print("\n".join(describe_scene(scene)))
     centre, half_width = scenes.placement_sector_rad
     settings = config.attack.placement.model_dump()
     where = PlacementSpec(**settings, sector_centre_rad=centre, sector_half_width_rad=half_width)

@@ -11,7 +11,7 @@ from shift3d.cli.command import Command
 from shift3d.cli.commands.plan import add_tasks, show, show_places
 from shift3d.cli.completion import folder_words, sweep_words
 from shift3d.cli.outcomes import interrupted, mirror
-from shift3d.cli.words import SWEEP_METAVAR, SWEEP_WORDS, Request, read_words
+from shift3d.cli.sweep_arguments import SWEEP_METAVAR, SWEEP_WORDS, SweepRequest, read_words
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
@@ -128,7 +128,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     return int(ExitCode.DONE if placed and not result.quarantined else ExitCode.INCOMPLETE)
 
 
-def _submit(request: Request, address: str, retry_quarantined: bool) -> int:
+def _submit(request: SweepRequest, address: str, retry_quarantined: bool) -> int:
     from shift3d.settings.folders import own_folders
     from shift3d.sweep.execution.ray.job import submit_sweep
 
@@ -152,14 +152,20 @@ def _status(words: list[str]) -> int:
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print the results of a sweep and mirror them to MLflow. Returns True if any vehicle found a place."""
     from shift3d.analysis.results import sweep_of
-    from shift3d.analysis.tables.coverage import coverage_lines, nothing_placed, sweep_report, trial_caveat, unmoved
+    from shift3d.analysis.tables.coverage import (
+        coverage_lines,
+        no_placement_message,
+        small_sweep_warning,
+        sweep_report,
+        unresponsive_detectors,
+    )
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.sweep.planning.plan_view import skipped_lines
 
     final = result.final
     assert final is not None
     sweep = sweep_of(plan, {name: final.frame(name) for name in final.tables}, environment={})
-    unplaced = nothing_placed(sweep.scores, plan.settings)
+    unplaced = no_placement_message(sweep.scores, plan.settings)
     covered = "\n".join(coverage_lines(sweep.scores, sweep.attempts, result.planned))
     if unplaced:
         print(f"\n{unplaced}\n\n{covered}\n", flush=True)
@@ -167,7 +173,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     elif sweep.scores.empty:
         print(f"\n{covered}\n", flush=True)
     else:
-        for caveat in filter(None, (trial_caveat(plan.tasks), unmoved(sweep.scores))):
+        for caveat in filter(None, (small_sweep_warning(plan.tasks), unresponsive_detectors(sweep.scores))):
             print(f"\n{caveat}")
         print(f"\n{sweep_report(sweep)}\n", flush=True)
         _show_effects(sweep, result.folder)

@@ -20,7 +20,7 @@ with equal scores is kept, and two vehicles are farther apart."""
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class ScoreDifference:
     """Largest score difference of two detectors: scene, box centre, and both scores (0: no box)."""
 
     scene: str
@@ -37,24 +37,24 @@ class Disagreement:
 
 def largest_disagreement(
     original: Detector, compiled: Detector, clouds: Iterable[tuple[str, Tensor]]
-) -> Disagreement | None:
+) -> ScoreDifference | None:
     """Return the largest score difference over the scenes, or None if neither detector finds a box.
 
     clouds: names and points (N, 3), network frame. At every box with a score of at least 0.1, the highest scores of
     both detectors within 2 m are compared. Source: our choice.
     """
-    found: list[Disagreement] = []
+    found: list[ScoreDifference] = []
     for name, points in clouds:
         # A box just above the least score may be below it in the other detector, by up to TOLERANCE.
         one, two = (detector.detect(points, score_threshold=_LEAST - TOLERANCE) for detector in (original, compiled))
         for x, y in np.concatenate([found.boxes[found.scores >= _LEAST] for found in (one, two)])[:, :2]:
-            found.append(Disagreement(name, float(x), float(y), _best_near(one, x, y), _best_near(two, x, y)))
+            found.append(ScoreDifference(name, float(x), float(y), _best_near(one, x, y), _best_near(two, x, y)))
     return max(found, key=lambda place: place.difference, default=None)
 
 
-def require_agreement(
+def check_score_agreement(
     original: Detector, compiled: Detector, clouds: Iterable[tuple[str, Tensor]], where: str
-) -> Disagreement:
+) -> ScoreDifference:
     """Check that the largest score difference is at most TOLERANCE, and return it.
 
     Raises: InputError with the place if the difference is larger, or if neither detector finds a box to compare.

@@ -21,9 +21,9 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.names import ONNX
-from shift3d.detectors.nms import SuppressedProposals
+from shift3d.detectors.nms import NmsDetector
 from shift3d.errors import InputError
-from shift3d.store.user_cache import keep, kept_file, read_kept, source_digest
+from shift3d.store.user_cache import cache_file, cache_result, read_cached, source_digest
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -34,7 +34,7 @@ _SATURATED = 2.0**-24
 """Smallest distance of scores from 0 and 1, where logits are infinite; 1 minus this is the last float32 below 1."""
 
 
-class OnnxDetector(SuppressedProposals):
+class OnnxDetector(NmsDetector):
     """ONNX session behind the `Detector` interface. The network gets the whole scene in every call.
 
     A window, in cells of 1 m around the origin, selects the boxes with centres in its core as proposals: a file without
@@ -102,10 +102,10 @@ def onnx_detector(content: bytes, where: str) -> OnnxDetector:
         raise InputError(f"ONNX Runtime does not take it: {_line(error)}", where, _GUIDE) from error
     _check_interface(session, where)
     detector, by = OnnxDetector(session, where), (onnxruntime.__version__, source_digest("detectors/compiled"))
-    tried = kept_file("tried_onnx", hashlib.blake2b(content).digest(), *by)
-    if read_kept(tried) is None:  # the test makes three full forward passes: 11 s for PointPillars
+    tried = cache_file("tried_onnx", hashlib.blake2b(content).digest(), *by)
+    if read_cached(tried) is None:  # the test makes three full forward passes: 11 s for PointPillars
         _try(detector, where)
-        keep(tried, where.encode())
+        cache_result(tried, where.encode())
     return detector
 
 

@@ -16,7 +16,7 @@ from shift3d.detectors.grid import full_window
 from shift3d.detectors.models.anchor_heads import AnchorHeads
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.detectors.models.pillar_detectors import PillarBackboneNet
-from shift3d.detectors.names import COMPILED
+from shift3d.detectors.names import ONNX_EXPORTABLE
 from shift3d.errors import InputError
 
 OPSET = 18
@@ -93,7 +93,7 @@ def onnx_bytes(net: DetectorNet) -> bytes:
     Raises: InputError if the network is not a pillar network, or if a package is missing.
     """
     if not isinstance(net, PillarBackboneNet):
-        remedy = f"Export {' or '.join(COMPILED)}"
+        remedy = f"Export {' or '.join(ONNX_EXPORTABLE)}"
         raise InputError(f"{net.name} has windows of tokens, which have no ONNX export", "detector", remedy)
     require_packages("onnx", "onnxscript")
     module = PointsToScores(net.inference("float32")).eval()

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from shift3d.detectors.foreign.layout import Layout
 from shift3d.detectors.foreign.network import ForeignNet
-from shift3d.detectors.foreign.tensors import entries
+from shift3d.detectors.foreign.tensor_names import entries
 from shift3d.detectors.models.weights import wrong_values
 from shift3d.errors import InputError
 from shift3d.wording import counted

@@ -13,18 +13,18 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Detections, Proposals
 from shift3d.detectors.foreign.checkpoint import load_foreign_net
+from shift3d.detectors.foreign.config_common import ForeignOverrides
 from shift3d.detectors.foreign.layout import Frame, Layout
-from shift3d.detectors.foreign.parts import Choices
 from shift3d.detectors.incremental.inference import IncrementalInference
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
-CONFIGS_OWN = Choices()
+NO_OVERRIDES = ForeignOverrides()
 _IOU = 0.25
 
 
-def foreign_layout(name: str, config: Path, choices: Choices = CONFIGS_OWN) -> dict[str, Any]:
+def foreign_layout(name: str, config: Path, choices: ForeignOverrides = NO_OVERRIDES) -> dict[str, Any]:
     """Read the layout that a config describes, as plain values. name: "openpcdet" or "mmdet3d".
 
     Raises: InputError with file and value if something is missing or not supported.

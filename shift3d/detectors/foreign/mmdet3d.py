@@ -11,9 +11,8 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
-from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Branch, CentreHead, Layout, PillarInputs
-from shift3d.detectors.foreign.parts import (
-    Choices,
+from shift3d.detectors.foreign.config_common import (
+    ForeignOverrides,
     backbone_of,
     branch_names,
     channel_values,
@@ -21,8 +20,9 @@ from shift3d.detectors.foreign.parts import (
     grid_of,
     vehicle_class,
 )
+from shift3d.detectors.foreign.config_section import Section
+from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Branch, CentreHead, Layout, PillarInputs
 from shift3d.detectors.foreign.python_config import read_python_config
-from shift3d.detectors.foreign.values import Section
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.backbone import BackboneSpec
 
@@ -31,7 +31,7 @@ _BOX_BRANCHES = (("reg", 2), ("height", 1), ("dim", 3), ("rot", 2))
 _GIVE = "Give the values of voxel_layer there, too: without them the encoder takes another grid's"
 
 
-def mmdet3d_layout(path: Path, choices: Choices) -> Layout:
+def mmdet3d_layout(path: Path, choices: ForeignOverrides) -> Layout:
     """Read the layout of a config. Raises InputError with the file and the value that is missing or not supported."""
     root = Section(read_python_config(path), str(path))
     model = root.section("model")
@@ -68,17 +68,17 @@ def _backbone(model: Section, prefix: str) -> tuple[BackboneSpec, bool, tuple[fl
     scatter.expect("type", "PointPillarsScatter")
     part.expect("type", "SECOND")
     neck.expect("type", "SECONDFPN")
-    widths = part.wholes("out_channels", default=[128, 128, 256])
-    if neck.wholes("in_channels", default=[128, 128, 256]) != widths:
+    widths = part.integers("out_channels", default=[128, 128, 256])
+    if neck.integers("in_channels", default=[128, 128, 256]) != widths:
         neck.refuse(f"in_channels are not the backbone's {list(widths)}")
     spec = backbone_of(
         part,
         scatter.whole("in_channels"),
-        part.wholes("layer_nums", default=[3, 5, 5]),
-        part.wholes("layer_strides", default=[2, 2, 2]),
+        part.integers("layer_nums", default=[3, 5, 5]),
+        part.integers("layer_strides", default=[2, 2, 2]),
         widths,
         neck.numbers("upsample_strides", default=[1, 2, 4]),
-        neck.wholes("out_channels", default=[256, 256, 256]),
+        neck.integers("out_channels", default=[256, 256, 256]),
     )
     return spec, neck.flag("use_conv_for_no_stride", False), (_eps(part, 1e-3), _eps(neck, 1e-3))
 
@@ -100,7 +100,9 @@ def _voxels(model: Section) -> Section:
     return holder.section("voxel_layer")
 
 
-def _inputs(part: Section, root: Section, bounds: tuple[float, ...], voxels: Section, choices: Choices) -> PillarInputs:
+def _inputs(
+    part: Section, root: Section, bounds: tuple[float, ...], voxels: Section, choices: ForeignOverrides
+) -> PillarInputs:
     part.expect("type", ("PillarFeatureNet", "HardVFE"))
     hard = part.text("type") == "HardVFE"
     part.expect("with_distance", False, False)
@@ -111,7 +113,7 @@ def _inputs(part: Section, root: Section, bounds: tuple[float, ...], voxels: Sec
     for name in ("voxel_size", "point_cloud_range"):
         if not part.has(name) or part.numbers(name) != voxels.numbers(name):
             part.refuse(f"{name} is not that of voxel_layer", _GIVE)
-    channels, filters = _channels(root, part.whole("in_channels", 4)), part.wholes("feat_channels", default=[64])
+    channels, filters = _channels(root, part.whole("in_channels", 4)), part.integers("feat_channels", default=[64])
     return PillarInputs(
         position="offset" if part.flag("legacy", not hard) else "coordinates",
         constants=channel_values(channels[3:], _data_set(root), choices, part),
@@ -155,7 +157,7 @@ def _suppression(model: Section, prefix: str) -> float | None:
     return None if settings.get("nms_type", "rotate") == "circle" else settings.number("nms_thr")
 
 
-def _anchors(head: Section, classes: tuple[str, ...], choices: Choices, cells: tuple[int, int]) -> AnchorHead:
+def _anchors(head: Section, classes: tuple[str, ...], choices: ForeignOverrides, cells: tuple[int, int]) -> AnchorHead:
     head.expect("use_direction_classifier", True, True)
     head.expect("dir_limit_offset", (0, 0.0), 0)
     head.section("loss_cls").expect("use_sigmoid", True, False)
@@ -199,7 +201,7 @@ def _anchor(
     )
 
 
-def _centre(head: Section, choices: Choices, grid: Grid, spec: BackboneSpec) -> CentreHead:
+def _centre(head: Section, choices: ForeignOverrides, grid: Grid, spec: BackboneSpec) -> CentreHead:
     head.expect("norm_bbox", True, True)
     head.expect("dcn_head", False, False)
     separate = head.section("separate_head", {"type": "SeparateHead", "final_kernel": 3})
@@ -230,7 +232,7 @@ def _centre(head: Section, choices: Choices, grid: Grid, spec: BackboneSpec) -> 
 
 def _branches(table: Section) -> list[Branch]:
     """Read the box branches: offset, height, size and heading first. The config has (outputs, layers) of each."""
-    found = {name: table.wholes(name, 2) for name in branch_names(table, [name for name, _ in _BOX_BRANCHES])}
+    found = {name: table.integers(name, 2) for name in branch_names(table, [name for name, _ in _BOX_BRANCHES])}
     for name, wanted in _BOX_BRANCHES:
         if found[name][0] != wanted:
             table.refuse(f"{name} has {found[name][0]} outputs, not {wanted}")

@@ -15,8 +15,8 @@ from shift3d.detectors.grid import Grid, Pillars, core_cells
 from shift3d.detectors.models.anchor_heads import AnchorConvolutions
 from shift3d.detectors.models.centre_heads import decode_centres
 from shift3d.detectors.models.folding import folded_linear, folded_sequence
-from shift3d.detectors.models.network import BoxHeads, Precision, arithmetic, map_rows
-from shift3d.detectors.models.pillar_detectors import PillarBackboneNet, core_in_window, to_dense
+from shift3d.detectors.models.network import BoxHeads, Precision, map_to_rows, precision_dtypes
+from shift3d.detectors.models.pillar_detectors import PillarBackboneNet, cast_large_products, core_in_window
 from shift3d.detectors.models.pillar_net import decorate, segment_max
 
 
@@ -142,7 +142,7 @@ class CentreTower(nn.Module):
         return self
 
 
-class MapHeads(BoxHeads):
+class TowerOutputHeads(BoxHeads):
     """Heads that read logit and box code from `CentreTower`; all cells enter suppression, as in the sources."""
 
     per_cell = 1
@@ -150,10 +150,10 @@ class MapHeads(BoxHeads):
     layers = ()
 
     def logits(self, features: Tensor) -> Tensor:
-        return map_rows(features[:, :1]).flatten(1)
+        return map_to_rows(features[:, :1]).flatten(1)
 
     def box_rows(self, features: Tensor) -> Tensor:
-        return map_rows(features[:, 1:])
+        return map_to_rows(features[:, 1:])
 
     def decode(self, rows: Tensor, grid: Grid, window: BevWindow) -> Tensor:
         """See `BoxHeads.decode`. In the sources the offset is relative to the corner of the cell.
@@ -178,10 +178,10 @@ class ForeignNet(PillarBackboneNet):
         channels = layout.backbone.up_channels * len(layout.backbone.strides)
         self.tower: CentreTower | None = None
         if isinstance(layout.head, AnchorHead):
-            self.heads: ForeignAnchorHeads | MapHeads = ForeignAnchorHeads(channels, layout.head)
+            self.heads: ForeignAnchorHeads | TowerOutputHeads = ForeignAnchorHeads(channels, layout.head)
             self._reach_cells = max(_displacement(anchor, self.head_grid) for anchor in layout.head.anchors)
         else:
-            self.tower, self.heads, self._reach_cells = CentreTower(channels, layout.head), MapHeads(), 0
+            self.tower, self.heads, self._reach_cells = CentreTower(channels, layout.head), TowerOutputHeads(), 0
 
     @property
     def is_cellwise(self) -> bool:
@@ -223,7 +223,7 @@ class ForeignNet(PillarBackboneNet):
     def inference(self, precision: Precision) -> Self:
         folded = super().inference(precision)
         if folded.tower is not None:
-            to_dense(folded.tower.folded(), arithmetic(precision)[1])
+            cast_large_products(folded.tower.folded(), precision_dtypes(precision)[1])
         return folded.requires_grad_(False)
 
 

@@ -10,9 +10,8 @@ from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
-from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Branch, CentreHead, Layout, PillarInputs
-from shift3d.detectors.foreign.parts import (
-    Choices,
+from shift3d.detectors.foreign.config_common import (
+    ForeignOverrides,
     backbone_of,
     branch_names,
     channel_values,
@@ -20,7 +19,8 @@ from shift3d.detectors.foreign.parts import (
     grid_of,
     vehicle_class,
 )
-from shift3d.detectors.foreign.values import Section, merged
+from shift3d.detectors.foreign.config_section import Section, merged
+from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Branch, CentreHead, Layout, PillarInputs
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.backbone import BackboneSpec
 from shift3d.errors import InputError
@@ -63,7 +63,7 @@ def _base_file(name: str, path: Path) -> Path:
     raise InputError(f"{_BASE} {name} is nowhere above it or beside it", str(path), "Copy it beside the config")
 
 
-def openpcdet_layout(path: Path, choices: Choices) -> Layout:
+def openpcdet_layout(path: Path, choices: ForeignOverrides) -> Layout:
     """Read the layout of a config. Raises InputError with the file and the value that is missing or not supported."""
     root = Section(read_yaml(path), str(path))
     data, model = root.section("DATA_CONFIG"), root.section("MODEL")
@@ -101,11 +101,11 @@ def _backbone(model: Section) -> tuple[BackboneSpec, bool]:
     spec = backbone_of(
         part,
         scatter.whole("NUM_BEV_FEATURES"),
-        part.wholes("LAYER_NUMS"),
-        part.wholes("LAYER_STRIDES"),
-        part.wholes("NUM_FILTERS"),
+        part.integers("LAYER_NUMS"),
+        part.integers("LAYER_STRIDES"),
+        part.integers("NUM_FILTERS"),
         part.numbers("UPSAMPLE_STRIDES"),
-        part.wholes("NUM_UPSAMPLE_FILTERS"),
+        part.integers("NUM_UPSAMPLE_FILTERS"),
     )
     return spec, part.flag("USE_CONV_FOR_NO_STRIDE", False)
 
@@ -119,7 +119,7 @@ def _voxels(data: Section) -> Section:
     return found[0]
 
 
-def _inputs(part: Section, data: Section, voxels: Section, grid: Grid, choices: Choices) -> PillarInputs:
+def _inputs(part: Section, data: Section, voxels: Section, grid: Grid, choices: ForeignOverrides) -> PillarInputs:
     part.expect("NAME", ("PillarVFE", "DynPillarVFE", "DynamicPillarVFE"))
     part.expect("WITH_DISTANCE", False)
     part.expect("USE_NORM", True)
@@ -132,7 +132,7 @@ def _inputs(part: Section, data: Section, voxels: Section, grid: Grid, choices: 
         constants=channel_values(names[3:], data.text("DATASET", ""), choices, encoding),
         middle_m=(grid.z_min_m + grid.z_max_m) / 2,
         slots=voxels.whole("MAX_POINTS_PER_VOXEL") if part.text("NAME") == "PillarVFE" else None,
-        filters=part.wholes("NUM_FILTERS"),
+        filters=part.integers("NUM_FILTERS"),
     )
 
 

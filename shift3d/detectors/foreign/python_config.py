@@ -1,7 +1,8 @@
 """Parser that reads mmdetection3d's Python configs as data and never executes them.
 
 A value is a literal, `dict(...)`, an assigned name, `_base_.name`, an index or slice of a list, `sum` of a list, or
-arithmetic of these. Any other expression is stored as `Unread` with its line, and refused only if it is needed.
+arithmetic of these. Any other expression is stored as `UnevaluatedExpression` with its line, and is refused if it is
+needed.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from shift3d.detectors.foreign.values import Unread, merged
+from shift3d.detectors.foreign.config_section import UnevaluatedExpression, merged
 from shift3d.errors import InputError
 
 _BASE = "_base_"
@@ -98,7 +99,7 @@ class _Reader:
         try:
             return self._data(node)
         except (_NotDataError, ArithmeticError, TypeError, ValueError, LookupError, RecursionError):
-            return Unread(ast.unparse(node)[:80], self._file, node.lineno)
+            return UnevaluatedExpression(ast.unparse(node)[:80], self._file, node.lineno)
 
     def _data(self, node: ast.expr) -> Any:
         match node:
@@ -131,7 +132,7 @@ class _Reader:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Unread):
+    if isinstance(value, UnevaluatedExpression):
         raise _NotDataError
     return value
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import linear
 
-from shift3d.detectors.incremental.active_sites import ActiveSites, MapShape, SiteIndices, pooled, reached, whole_set
+from shift3d.detectors.incremental.active_sites import CellIndices, CellMask, MapShape, full_mask, pooled, reached
 from shift3d.detectors.incremental.sparse_backbone import ROWS_AT_ONCE, SparseBackbone, SparseBackward
 from shift3d.processor import pad_to_bucket
 
@@ -32,14 +32,14 @@ class ActivationCache:
             self._up_active.append(torch.zeros(rows, branch.factor**2 * channels, dtype=torch.bool))
             self._head_parts.append(branch.heads.new_zeros(rows, branch.factor**2 * outputs))
         # Cells that changed since they were last computed; initially all cells.
-        self._stale = [whole_set(shape) for shape in self.shapes]
-        self._stale_heads = [whole_set(self.shapes[branch.last_layer + 1]) for branch in net.branches]
+        self._stale = [full_mask(shape) for shape in self.shapes]
+        self._stale_heads = [full_mask(self.shapes[branch.last_layer + 1]) for branch in net.branches]
 
     @property
     def canvas(self) -> Tensor:
         return self._activations[0]
 
-    def due(self, changed: ActiveSites, needed: ActiveSites) -> ActiveSites:
+    def due(self, changed: CellMask, needed: CellMask) -> CellMask:
         """Return the input cells that the caller must write before `advance`: changed and needed cells.
 
         Changed cells that are not needed stay marked as stale until a later call needs them.
@@ -47,7 +47,7 @@ class ActivationCache:
         due, self._stale[0] = _split(changed | self._stale[0], needed)
         return due
 
-    def advance(self, written: ActiveSites, needed: list[ActiveSites], outputs: ActiveSites) -> None:
+    def advance(self, written: CellMask, needed: list[CellMask], outputs: CellMask) -> None:
         """Recompute the needed cells of all layers that depend on the written canvas cells.
 
         needed: `SparseBackbone.needed` of the output cells `outputs`. Not differentiable: see `SparseBackward`.
@@ -63,14 +63,14 @@ class ActivationCache:
                     due, self._stale_heads[number] = _split(changed | self._stale_heads[number], wanted)
                     self._upsample(number, np.flatnonzero(due))
 
-    def _convolve(self, index: int, cells: SiteIndices) -> None:
+    def _convolve(self, index: int, cells: CellIndices) -> None:
         layer, source, target = self.net.chain[index], self._activations[index], self._activations[index + 1]
         for part in _batches(cells, layer.weight.dtype):
             neighbours = torch.from_numpy(self.shapes[index].neighbours(part, layer.stride).reshape(-1))
             gathered = source.index_select(0, neighbours).view(len(part), -1)
             target.index_copy_(0, torch.from_numpy(part), linear(gathered, layer.weight, layer.bias).relu_())
 
-    def _upsample(self, number: int, cells: SiteIndices) -> None:
+    def _upsample(self, number: int, cells: CellIndices) -> None:
         branch = self.net.branches[number]
         channels = branch.heads.shape[0]
         for part in _batches(cells, branch.up_weight.dtype):
@@ -96,7 +96,7 @@ class ActivationCache:
             total += parts[lines, columns].permute(0, 2, 1, 3, 4).reshape(height, width, -1)
         return total
 
-    def backward(self, with_grad: ActiveSites, needed: list[ActiveSites], outputs: ActiveSites) -> SparseBackward:
+    def backward(self, with_grad: CellMask, needed: list[CellMask], outputs: CellMask) -> SparseBackward:
         """Return the backward pass from the outputs to the canvas cells `with_grad`; later calls do not change it."""
         reach, activations = with_grad & needed[0], []
         cells = [np.flatnonzero(reach)]
@@ -112,12 +112,12 @@ class ActivationCache:
         return SparseBackward(self.net, self.shapes, cells, activations, up_cells, up_active)
 
 
-def _batches(cells: SiteIndices, dtype: torch.dtype) -> Iterator[SiteIndices]:
+def _batches(cells: CellIndices, dtype: torch.dtype) -> Iterator[CellIndices]:
     """Split cells into batches. In bfloat16 the last cell repeats up to `pad_to_bucket` rows, with the same result."""
     for start in range(0, len(cells), ROWS_AT_ONCE):
         part = cells[start : start + ROWS_AT_ONCE]
         yield np.pad(part, (0, pad_to_bucket(len(part)) - len(part)), mode="edge") if dtype == torch.bfloat16 else part
 
 
-def _split(cells: ActiveSites, wanted: ActiveSites) -> tuple[ActiveSites, ActiveSites]:
+def _split(cells: CellMask, wanted: CellMask) -> tuple[CellMask, CellMask]:
     return cells & wanted, cells & ~wanted

@@ -38,12 +38,12 @@ class IncrementalInference(Protocol):
 
 
 def incremental_inference(detector: Detector, window: BevWindow) -> IncrementalInference:
-    """Return the detector's incremental inference, or `WholeWindow` if the detector has none."""
+    """Return the detector's incremental inference, or `UncachedInference` if the detector has none."""
     own: Callable[[BevWindow], IncrementalInference] | None = getattr(detector, "incremental", None)
-    return WholeWindow(detector, window) if own is None else own(window)
+    return UncachedInference(detector, window) if own is None else own(window)
 
 
-class WholeWindow:
+class UncachedInference:
     """Fallback that computes the whole window in every frame."""
 
     def __init__(self, detector: Detector, window: BevWindow) -> None:
@@ -54,11 +54,11 @@ class WholeWindow:
     ) -> Proposals:
         return self._detector.proposals(points, window or self._window)
 
-    def fork(self) -> WholeWindow:
+    def fork(self) -> UncachedInference:
         """Return itself, because it has no state."""
         return self
 
 
-def copied_but_for(frames: T, *shared: Any) -> T:
+def deepcopy_sharing(frames: T, *shared: Any) -> T:
     """Return a deep copy that shares the given parts, such as networks."""
     return copy.deepcopy(frames, {id(part): part for part in shared})

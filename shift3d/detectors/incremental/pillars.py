@@ -18,8 +18,8 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.incremental.activation_cache import ActivationCache
-from shift3d.detectors.incremental.active_sites import ActiveSites, PointSites, SiteIndices, contains, empty_set
-from shift3d.detectors.incremental.inference import copied_but_for
+from shift3d.detectors.incremental.active_sites import CellIndices, CellMask, PointCells, contains, empty_mask
+from shift3d.detectors.incremental.inference import deepcopy_sharing
 from shift3d.detectors.incremental.sparse_backbone import SparseBackbone, SparseBackward
 from shift3d.detectors.models.pillar_detectors import PillarBackboneNet
 
@@ -40,11 +40,11 @@ class IncrementalPillars:
         cached one. boxed: (logits, outputs of the box layers, window) -> proposals.
         """
         self._net, self._cells, self._window, self._plain, self._boxed = net, cells, window, plain, boxed
-        self._points = PointSites(net.grid, window, cells.exact)
+        self._points = PointCells(net.grid, window, cells.exact)
         self._shape = self._points.shape
         self._cache = ActivationCache(cells, self._shape)
         self._core: _Rectangle | None = None
-        self._outputs, self._needed = empty_set(cells.output_shape(self._shape)), list[ActiveSites]()
+        self._outputs, self._needed = empty_mask(cells.output_shape(self._shape)), list[CellMask]()
 
     @staticmethod
     def is_aligned(net: PillarBackboneNet, window: BevWindow) -> bool:
@@ -68,7 +68,7 @@ class IncrementalPillars:
         tracked = torch.is_grad_enabled() and points.requires_grad
         with torch.no_grad():
             due = self._cache.due(self._points.changed(points.detach()), self._needed[0])
-            grad_cells = self._points.cells(requires_grad) & self._needed[0] if tracked else empty_set(self._shape)
+            grad_cells = self._points.cells(requires_grad) & self._needed[0] if tracked else empty_mask(self._shape)
             self._write(points.detach(), due & ~grad_cells, due)
         features, cells = self._write(points, grad_cells, due)
         with torch.no_grad():
@@ -77,11 +77,11 @@ class IncrementalPillars:
             logits, rows = outputs[:, :classes].reshape(-1), outputs[:, classes:]
         if features.requires_grad:
             sparse = self._cache.backward(grad_cells, self._needed, self._outputs)
-            logits = _Link.apply(features, logits, sparse, cells, core)  # type: ignore[no-untyped-call]
+            logits = _AttachGradient.apply(features, logits, sparse, cells, core)  # type: ignore[no-untyped-call]
         return self._boxed(logits, rows, window)
 
     def fork(self) -> IncrementalPillars:
-        return copied_but_for(self, self._net, self._cells, self._plain, self._boxed)
+        return deepcopy_sharing(self, self._net, self._cells, self._plain, self._boxed)
 
     def _look_at(self, window: BevWindow) -> _Rectangle:
         """Set the output cells to the window's core. Return the core (y0, x0, height, width) in output cells."""
@@ -90,12 +90,12 @@ class IncrementalPillars:
         y0, x0 = (window.core_y0 - cached.y0) // step, (window.core_x0 - cached.x0) // step
         core = (y0, x0, window.core_num_y // step, window.core_num_x // step)
         if core != self._core:
-            outputs = empty_set(self._cells.output_shape(self._shape))
+            outputs = empty_mask(self._cells.output_shape(self._shape))
             outputs[1 + y0 : 1 + y0 + core[2], 1 + x0 : 1 + x0 + core[3]] = True
             self._core, self._outputs, self._needed = core, outputs, self._cells.needed(outputs)
         return core
 
-    def _write(self, points: Tensor, among: ActiveSites, due: ActiveSites) -> tuple[Tensor, SiteIndices]:
+    def _write(self, points: Tensor, among: CellMask, due: CellMask) -> tuple[Tensor, CellIndices]:
         """Return features (P, C) and cells of the pillars in `among`; write the features of due cells to the canvas."""
         rows = self._points.rows(among)
         pillars, features = self._net.pillar_features(points.index_select(0, rows), self._window)
@@ -109,12 +109,12 @@ class IncrementalPillars:
         return features, cells
 
 
-class _Link(torch.autograd.Function):
+class _AttachGradient(torch.autograd.Function):
     """Autograd link from precomputed logits to the pillar features that they depend on."""
 
     @staticmethod
     def forward(
-        ctx: Any, features: Tensor, logits: Tensor, sparse: SparseBackward, cells: SiteIndices, core: _Rectangle
+        ctx: Any, features: Tensor, logits: Tensor, sparse: SparseBackward, cells: CellIndices, core: _Rectangle
     ) -> Tensor:
         """Return the logits (A,) of the core. features: (P, C) of the pillars in `cells`, ascending."""
         ctx.sparse, ctx.cells, ctx.core, ctx.dtype = sparse, cells, core, features.dtype

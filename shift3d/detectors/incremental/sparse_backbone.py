@@ -14,10 +14,10 @@ import torch
 from torch import Tensor, nn
 
 from shift3d.detectors.incremental.active_sites import (
-    ActiveSites,
+    CellIndices,
+    CellMask,
     MapShape,
-    SiteIndices,
-    empty_set,
+    empty_mask,
     fine_cells,
     pooled,
     sources,
@@ -92,11 +92,11 @@ class SparseBackbone:
         """Return the shape of the map that the heads read. window: input shape, a multiple of the stride."""
         return MapShape(window.height // self.out_stride, window.width // self.out_stride)
 
-    def needed(self, outputs: ActiveSites) -> list[ActiveSites]:
+    def needed(self, outputs: CellMask) -> list[CellMask]:
         """Return the cells of the input and of every layer that the output cells `outputs` depend on."""
         height, width = (self.out_stride * (cells - 2) for cells in outputs.shape)
         shapes = self.shapes(MapShape(height, width))
-        result = [empty_set(shape) for shape in shapes]
+        result = [empty_mask(shape) for shape in shapes]
         for branch in self.branches:
             result[branch.last_layer + 1] |= pooled(outputs, branch.factor)
         for index in range(len(self.chain), 0, -1):
@@ -121,9 +121,9 @@ class SparseBackward:
 
     net: SparseBackbone
     shapes: list[MapShape]
-    cells: list[SiteIndices]
+    cells: list[CellIndices]
     activations: list[Tensor]
-    up_cells: list[SiteIndices]
+    up_cells: list[CellIndices]
     up_active: list[Tensor]
 
     def gradient(self, logits: Tensor) -> Tensor:
@@ -133,7 +133,7 @@ class SparseBackward:
         cells between these canvas cells and a logit whose gradient is not zero.
         """
         chain = self.net.chain
-        outputs = empty_set(self.net.output_shape(self.shapes[0]))
+        outputs = empty_mask(self.net.output_shape(self.shapes[0]))
         outputs.reshape(-1)[np.flatnonzero(logits.numpy()) // self.net.per_cell] = True
         wanted = self.net.needed(outputs)
         above, gradient = self.cells[-1][:0], chain[-1].weight.new_zeros(0, len(chain[-1].weight))
@@ -151,7 +151,7 @@ class SparseBackward:
             above, gradient = here, torch.ops.aten.threshold_backward(total, activations, 0)
         return self._through(0, gradient, above, self.cells[0])
 
-    def _through(self, index: int, gradient: Tensor, outputs: SiteIndices, inputs: SiteIndices) -> Tensor:
+    def _through(self, index: int, gradient: Tensor, outputs: CellIndices, inputs: CellIndices) -> Tensor:
         """Compute the gradient (n, c_in) at a layer's inputs from that (m, c_out) at its outputs before the ReLU."""
         layer, shape = self.net.chain[index], self.shapes[index]
         channels = layer.weight.shape[1] // 9
@@ -165,7 +165,7 @@ class SparseBackward:
             result.index_add_(0, target, shares.to(self.net.exact))
         return result[:-1].to(gradient.dtype)
 
-    def _add_branch(self, number: int, logits: Tensor, outputs: ActiveSites, cells: SiteIndices, total: Tensor) -> None:
+    def _add_branch(self, number: int, logits: Tensor, outputs: CellMask, cells: CellIndices, total: Tensor) -> None:
         """Add the gradient through a block's upsampling to total (n, C), the gradient at cells of its last layer."""
         branch, all_cells = self.net.branches[number], self.up_cells[number]
         kept = np.flatnonzero(pooled(outputs, branch.factor).reshape(-1)[all_cells])

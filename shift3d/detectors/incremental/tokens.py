@@ -17,14 +17,14 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.incremental.active_sites import (
-    ActiveSites,
-    PointSites,
-    SiteIndices,
+    CellIndices,
+    CellMask,
+    PointCells,
     contains,
-    empty_set,
-    whole_set,
+    empty_mask,
+    full_mask,
 )
-from shift3d.detectors.incremental.inference import copied_but_for
+from shift3d.detectors.incremental.inference import deepcopy_sharing
 from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.models.token_windows import Tokens
 
@@ -32,26 +32,26 @@ Plain = Callable[[Tensor, BevWindow], Proposals]
 
 
 @dataclass(frozen=True)
-class _Flow:
+class _LayerState:
     """State passed from layer to layer.
 
     new: cells whose tokens changed since the next layer last read them. with_grad: (n,) cells, ascending, of the tokens
     with a gradient; features: (n, width) of these tokens.
     """
 
-    new: ActiveSites
-    with_grad: SiteIndices
+    new: CellMask
+    with_grad: CellIndices
     features: Tensor
 
 
-class _Lattice:
+class _WindowLattice:
     """Attention windows of one shift on a part of the grid."""
 
     def __init__(self, part: BevWindow, size: int, shift: int) -> None:
         self._lines = _owners(part.y0, part.num_y, size, shift)
         self._columns = _owners(part.x0, part.num_x, size, shift)
 
-    def whole(self, cells: ActiveSites) -> ActiveSites:
+    def whole(self, cells: CellMask) -> CellMask:
         """Return all cells of the windows that contain one of the given cells."""
         held = cells[1:-1, 1:-1]
         for axis, owner in enumerate((self._lines, self._columns)):
@@ -61,7 +61,7 @@ class _Lattice:
         return result
 
 
-def _owners(first: int, count: int, size: int, shift: int) -> SiteIndices:
+def _owners(first: int, count: int, size: int, shift: int) -> CellIndices:
     """Compute the window index (count,) of each cell along an axis, starting at 0."""
     owner = (first + np.arange(count) + shift) // size
     return np.asarray(owner - owner[0], dtype=np.int64)
@@ -77,13 +77,13 @@ class IncrementalTokens:
         cached one. answer: (features of the core, its window) -> proposals.
         """
         self._net, self._window, self._exact, self._plain, self._answer = net, window, exact, plain, answer
-        self._points = PointSites(net.grid, window, exact)
+        self._points = PointCells(net.grid, window, exact)
         transformer = net.spec.transformer
-        self._lattices = [_Lattice(window, transformer.window, shift) for shift in transformer.shifts]
+        self._lattices = [_WindowLattice(window, transformer.window, shift) for shift in transformer.shifts]
         # For the encoder and every layer: cells that changed since they were last computed; initially all cells.
-        self._stale = [whole_set(self._points.shape) for _ in range(len(self._lattices) + 1)]
+        self._stale = [full_mask(self._points.shape) for _ in range(len(self._lattices) + 1)]
         # Tokens of the encoder and of every layer. A cell keeps its row once it has held a point.
-        self._row_of_cell: SiteIndices = np.full(self._points.shape.rows, -1, dtype=np.int64)
+        self._row_of_cell: CellIndices = np.full(self._points.shape.rows, -1, dtype=np.int64)
         self._tables = [torch.zeros(0, transformer.width, dtype=exact) for _ in self._stale]
         self._rows_taken = 0
 
@@ -103,7 +103,7 @@ class IncrementalTokens:
         held = self._points.cells()
         self._take_rows(np.flatnonzero(held))
         tracked = torch.is_grad_enabled() and points.requires_grad
-        grad_cells = self._points.cells(requires_grad) if tracked else empty_set(self._points.shape)
+        grad_cells = self._points.cells(requires_grad) if tracked else empty_mask(self._points.shape)
         flow = self._encode(points, changed, grad_cells & needed[0], needed[0])
         for index in range(len(self._lattices)):
             flow = self._attend(index, flow, needed[index + 1], held)
@@ -112,22 +112,22 @@ class IncrementalTokens:
         return self._answer(self._net.core_features(features, self._tokens(cells), [window]), window)
 
     def fork(self) -> IncrementalTokens:
-        return copied_but_for(self, self._net, self._plain, self._answer)
+        return deepcopy_sharing(self, self._net, self._plain, self._answer)
 
-    def _needed(self, window: BevWindow) -> list[ActiveSites]:
+    def _needed(self, window: BevWindow) -> list[CellMask]:
         """Return the cells that the window's core depends on: of the encoder, then of every layer."""
         columns, lines = (
             [*self._net.transformer.needed_spans(low, high), (low, high)] for low, high in self._net.core_spans(window)
         )
         result = []
         for (x_low, x_high), (y_low, y_high) in zip(columns, lines, strict=True):
-            cells = empty_set(self._points.shape)
+            cells = empty_mask(self._points.shape)
             inner, first_x, first_y = cells[1:-1, 1:-1], self._window.x0, self._window.y0
             inner[max(0, y_low - first_y) : y_high - first_y, max(0, x_low - first_x) : x_high - first_x] = True
             result.append(cells)
         return result
 
-    def _take_rows(self, cells: SiteIndices) -> None:
+    def _take_rows(self, cells: CellIndices) -> None:
         """Assign a row of the tables to each of these cells that has none."""
         new = cells[self._row_of_cell[cells] < 0]
         self._row_of_cell[new] = self._rows_taken + np.arange(len(new))
@@ -136,14 +136,14 @@ class IncrementalTokens:
             more = self._rows_taken * 5 // 4 - len(self._tables[0])  # moving shadows uncover cells at every call
             self._tables = [torch.cat((table, table.new_zeros(more, table.shape[1]))) for table in self._tables]
 
-    def _rows(self, cells: SiteIndices) -> Tensor:
+    def _rows(self, cells: CellIndices) -> Tensor:
         return torch.from_numpy(self._row_of_cell[cells])
 
-    def _tokens(self, cells: SiteIndices) -> Tokens:
+    def _tokens(self, cells: CellIndices) -> Tokens:
         line, column = np.divmod(cells, self._points.shape.width + 2)
         return Tokens(np.zeros_like(cells), column + self._window.x0 - 1, line + self._window.y0 - 1)
 
-    def _read(self, level: int, cells: SiteIndices, flow: _Flow) -> Tensor:
+    def _read(self, level: int, cells: CellIndices, flow: _LayerState) -> Tensor:
         """Return the tokens (n, width) of cells (n,), ascending; tokens with a gradient stay attached to the graph."""
         features = self._tables[level].index_select(0, self._rows(cells))
         among = np.isin(flow.with_grad, cells, assume_unique=True)
@@ -152,10 +152,10 @@ class IncrementalTokens:
         places = torch.from_numpy(np.searchsorted(cells, flow.with_grad[among]))
         return features.index_copy(0, places, flow.features[torch.from_numpy(among)])
 
-    def _write(self, level: int, cells: SiteIndices, features: Tensor) -> None:
+    def _write(self, level: int, cells: CellIndices, features: Tensor) -> None:
         self._tables[level].index_copy_(0, self._rows(cells), features.detach())
 
-    def _encode(self, points: Tensor, changed: ActiveSites, with_grad: ActiveSites, needed: ActiveSites) -> _Flow:
+    def _encode(self, points: Tensor, changed: CellMask, with_grad: CellMask, needed: CellMask) -> _LayerState:
         """Encode the pillars that changed and are needed, and with a gradient those in `with_grad`."""
         changed = changed | self._stale[0]
         due, self._stale[0] = changed & needed, changed & ~needed
@@ -163,20 +163,20 @@ class IncrementalTokens:
             self._write(0, *self._pillars(points.detach(), due & ~with_grad))
         cells, features = self._pillars(points, with_grad)
         self._write(0, cells, features)
-        return _Flow(due, cells, features)
+        return _LayerState(due, cells, features)
 
-    def _pillars(self, points: Tensor, among: ActiveSites) -> tuple[SiteIndices, Tensor]:
+    def _pillars(self, points: Tensor, among: CellMask) -> tuple[CellIndices, Tensor]:
         """Return the cells of `among` that contain a point, ascending, and their features."""
         pillars, features = self._net.pillar_features(points.index_select(0, self._points.rows(among)), self._window)
         return self._points.indices(pillars), features
 
-    def _attend(self, index: int, flow: _Flow, needed: ActiveSites, held: ActiveSites) -> _Flow:
+    def _attend(self, index: int, flow: _LayerState, needed: CellMask, held: CellMask) -> _LayerState:
         """Compute a layer in the needed windows that have a changed token or a token with a gradient.
 
         All tokens of a needed window are in the tables, because the previous layer needed them too.
         """
         lattice, level = self._lattices[index], index + 1
-        with_grad = empty_set(self._points.shape)
+        with_grad = empty_mask(self._points.shape)
         with_grad.reshape(-1)[flow.with_grad] = True
         changed = lattice.whole(flow.new) | self._stale[level]
         grad_windows = lattice.whole(lattice.whole(with_grad) & needed)
@@ -188,7 +188,7 @@ class IncrementalTokens:
         cells = np.flatnonzero(grad_windows & held)
         features = self._layer(index, cells, self._read(index, cells, flow))
         self._write(level, cells, features)
-        return _Flow(changed & (due_windows | grad_windows), cells, features)
+        return _LayerState(changed & (due_windows | grad_windows), cells, features)
 
-    def _layer(self, index: int, cells: SiteIndices, features: Tensor) -> Tensor:
+    def _layer(self, index: int, cells: CellIndices, features: Tensor) -> Tensor:
         return self._net.transformer.layer(index, features, self._tokens(cells)) if len(cells) else features

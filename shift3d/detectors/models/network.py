@@ -11,12 +11,12 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import Grid, Pillars, assign_pillars, core_cells, side_by_side
+from shift3d.detectors.grid import Grid, Pillars, assign_pillars, concatenate_pillars, core_cells
 
 Precision = Literal["float32", "bfloat16", "float64"]
 
 
-def arithmetic(precision: Precision) -> tuple[torch.dtype, torch.dtype]:
+def precision_dtypes(precision: Precision) -> tuple[torch.dtype, torch.dtype]:
     """Return the exact dtype and the dtype of the large matrix products of a precision."""
     exact = torch.float64 if precision == "float64" else torch.float32
     return exact, torch.bfloat16 if precision == "bfloat16" else exact
@@ -51,7 +51,7 @@ class BoxHeads(nn.Module, ABC):
 
     def logits(self, features: Tensor) -> Tensor:
         """Compute only the class logits (B, A), for a backward pass that needs no boxes."""
-        return map_rows(self.classes(features)).flatten(1)
+        return map_to_rows(self.classes(features)).flatten(1)
 
     def box_rows_at(self, features: Tensor, cells: Tensor) -> Tensor:
         """Compute the outputs (P, R) of `box_layers` at cells (P,) of one feature map (C, h, w), in the weights' dtype.
@@ -65,10 +65,10 @@ class BoxHeads(nn.Module, ABC):
 
     def box_rows(self, features: Tensor) -> Tensor:
         """Compute the outputs (B, cells, R) of `box_layers`."""
-        return torch.cat([map_rows(layer(features)) for layer in self.box_layers], dim=2)
+        return torch.cat([map_to_rows(layer(features)) for layer in self.box_layers], dim=2)
 
 
-def map_rows(output: Tensor) -> Tensor:
+def map_to_rows(output: Tensor) -> Tensor:
     """Reshape the output of a convolution to rows: (B, C, h, w) -> (B, h w, C)."""
     return output.permute(0, 2, 3, 1).flatten(1, 2)
 
@@ -123,7 +123,7 @@ class DetectorNet(nn.Module, ABC):
         if pillars is None:
             pairs = zip(clouds, windows, strict=True)
             pillars = [assign_pillars(points, self.grid, window) for points, window in pairs]
-        together = side_by_side(pillars, [len(points) for points in clouds])
+        together = concatenate_pillars(pillars, [len(points) for points in clouds])
         decorated = self.decorated(torch.cat(list(clouds)), together)
         if not len(together.counts):
             return pillars, decorated.new_zeros(0, self.channels)

@@ -16,7 +16,7 @@ from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, AnchorHeads, An
 from shift3d.detectors.models.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
 from shift3d.detectors.models.centre_heads import CentreHeads
 from shift3d.detectors.models.folding import folded_sequence
-from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
+from shift3d.detectors.models.network import DetectorNet, Precision, precision_dtypes
 from shift3d.detectors.models.pillar_net import PillarNet, decorate
 
 # Memory layout of the backbone at inference per dtype; default contiguous. The gradient of a core arrives in contiguous
@@ -119,7 +119,7 @@ class PillarBackboneNet(DetectorNet):
 
     def inference(self, precision: Precision) -> Self:
         """Return a copy for inference, norms and gains folded in float64; its pillar network is float32 or float64."""
-        exact, dense = arithmetic(precision)
+        exact, dense = precision_dtypes(precision)
         folded = copy.deepcopy(self)
         folded.pillar_net = folded.pillar_net.folded()
         for group in (folded.backbone.blocks, folded.backbone.ups):
@@ -128,7 +128,7 @@ class PillarBackboneNet(DetectorNet):
                 group[index] = folded_sequence(sequence)
         folded = folded.eval().requires_grad_(False).to(exact)
         for part in (folded.backbone, *folded.heads.layers):
-            to_dense(part, dense)
+            cast_large_products(part, dense)
         return folded
 
 
@@ -137,7 +137,7 @@ def core_in_window(window: BevWindow) -> tuple[int, int, int, int]:
     return (window.core_y0 - window.y0, window.core_x0 - window.x0, window.core_num_y, window.core_num_x)
 
 
-def to_dense(part: nn.Module, dense: torch.dtype) -> None:
+def cast_large_products(part: nn.Module, dense: torch.dtype) -> None:
     """Convert a part of the network in place to the dtype of the large products and its fast memory layout."""
     part.to(dense).to(memory_format=_LAYOUT.get(dense, torch.contiguous_format))  # type: ignore[call-overload]
 

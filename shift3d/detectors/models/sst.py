@@ -18,7 +18,7 @@ from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID, Pillars
 from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, AnchorHeads, AnchorSpec
 from shift3d.detectors.models.folding import folded_linear, folded_sequence
-from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
+from shift3d.detectors.models.network import DetectorNet, Precision, precision_dtypes
 from shift3d.detectors.models.pillar_net import VoxelEncoder, decorate_with_height
 from shift3d.detectors.models.token_windows import Tokens
 from shift3d.detectors.models.window_transformer import SST_TRANSFORMER, TransformerSpec, WindowTransformer
@@ -154,7 +154,7 @@ class SstNet(DetectorNet):
 
         With bfloat16, encoder and the transformer's sums and norms stay in float32: only products use half the bytes.
         """
-        exact, dense = arithmetic(precision)
+        exact, dense = precision_dtypes(precision)
         folded = copy.deepcopy(self)
         encoder = folded.encoder
         scale: Tensor = encoder.feature_scale  # type: ignore[assignment]

@@ -45,7 +45,7 @@ def least_power(limit_range_m: float) -> float:
     return LIMIT_ALBEDO / limit_range_m**2
 
 
-def survival(power: Tensor, sensor: SensorModel) -> Tensor:
+def detection_probability(power: Tensor, sensor: SensorModel) -> Tensor:
     """Compute the detection probability (K,) float64 of echoes of a power (K,), 1/m^2.
 
     For `power_spread` 0 the limit is sharp at the least power. Otherwise the probability is logistic in log power, with
@@ -60,8 +60,8 @@ def survival(power: Tensor, sensor: SensorModel) -> Tensor:
     return torch.sigmoid((power.double().log() - math.log(least)) / sensor.power_spread)
 
 
-def survival_draws(context: EffectContext) -> Tensor:
-    """Draw (N,) float64 uniform in [0, 1), one a beam. An echo is detected if the draw lies below `survival`.
+def detection_draws(context: EffectContext) -> Tensor:
+    """Draw (N,) float64 uniform in [0, 1), one a beam. A draw below `detection_probability` detects the echo.
 
     All effects that lose echoes of the object share these draws. Rain followed by ray drop therefore loses the same
     echoes as one test with the weaker of both powers, and no beam is tried twice with different luck.
@@ -80,10 +80,10 @@ def reach_m(conditions: Conditions) -> float:
 
 
 @dataclass(frozen=True)
-class PowerLimit:
+class DetectionLoss:
     """Losses caused by one effect that weakens echoes.
 
-    sensor, least: the sensor and its least power, 1/m^2. shared, own: (N,) draws, see `survival_draws`; None: no limit.
+    sensor, least: the sensor and its least power, 1/m^2. shared, own: (N,) `detection_draws`; None: no limit.
     """
 
     sensor: SensorModel
@@ -92,13 +92,13 @@ class PowerLimit:
     own: Tensor | None = None
 
     @staticmethod
-    def of(context: EffectContext, effect: str) -> PowerLimit:
+    def of(context: EffectContext, effect: str) -> DetectionLoss:
         """Return the limit of the context's sensor, with the draws of one effect."""
         sensor = context.scene.sensor or SensorModel()
         if sensor.limit_range_m is None or math.isinf(sensor.limit_range_m):  # no least power
-            return PowerLimit(sensor)
+            return DetectionLoss(sensor)
         own = torch.from_numpy(context.draws(effect, "survival").random(len(context.beams)))
-        return PowerLimit(sensor, least_power(sensor.limit_range_m), survival_draws(context), own)
+        return DetectionLoss(sensor, least_power(sensor.limit_range_m), detection_draws(context), own)
 
     def lost(self, returns: Returns, power: Tensor, transmission: Tensor) -> Tensor:
         """Return the mask (K,) of the returns that the effect makes undetectable.
@@ -118,7 +118,7 @@ class PowerLimit:
                 continue
             row, before, share = returns.row[chosen], power[chosen], transmission[chosen]
             if on_object:
-                lost[chosen] = self.shared[row] >= survival(before * share, self.sensor)
+                lost[chosen] = self.shared[row] >= detection_probability(before * share, self.sensor)
             else:
                 lost[chosen] = self.own[row] >= self._share_kept(before, share)
         return lost

@@ -39,7 +39,7 @@ def sub_rays(directions: Tensor, angle_rad: float) -> Tensor:
 
 
 @torch.no_grad()
-def at_silhouettes(insertion: Insertion, angle_rad: float) -> Tensor:
+def silhouette_rows(insertion: Insertion, angle_rad: float) -> Tensor:
     """Find the rows (C,) of cast beams whose sub-rays, at an angle to the axis, may hit something else; ascending.
 
     A row is found if its cone comes near a surface before its axis ends, or before the face that its axis hits, or if a
@@ -56,7 +56,7 @@ def at_silhouettes(insertion: Insertion, angle_rad: float) -> Tensor:
     until = torch.full((len(beams),), torch.inf, dtype=torch.float64)
     row = insertion.rendering.hit_mask.nonzero().squeeze(1)
     if len(row):
-        chosen[row], until[row] = _leave_the_face(row, field, insertion, angle_rad)
+        chosen[row], until[row] = _off_hit_face(row, field, insertion, angle_rad)
     rays = replace(rays, far_m=torch.minimum(rays.far_m, until[rays.index]))
     rays = rays.select((rays.near_m <= rays.far_m) & ~chosen[rays.index])
     if insertion.space is not None and settings.sdf_grid and len(rays):
@@ -77,7 +77,7 @@ def _box(insertion: Insertion, field: ObjectField) -> Box:
     return verified_box(field, size, settings.box_margin_m).box
 
 
-def _leave_the_face(row: Tensor, field: ObjectField, insertion: Insertion, angle_rad: float) -> tuple[Tensor, Tensor]:
+def _off_hit_face(row: Tensor, field: ObjectField, insertion: Insertion, angle_rad: float) -> tuple[Tensor, Tensor]:
     """Return the mask (H,) of hits with a sub-ray off the hit's face, and ranges (H,) before which it is not near.
 
     A sub-ray is first intersected with the plane through the hit, then corrected.

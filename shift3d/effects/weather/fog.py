@@ -13,7 +13,7 @@ from torch import Tensor
 
 from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics.pairing import BeamReturns
-from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss, overlap, reach_m
+from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, DetectionLoss, echo_power, loss, overlap, reach_m
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 PULSE_S = 20e-9
@@ -35,7 +35,7 @@ def backscatter_per_m(visibility_m: float) -> float:
 
 
 @dataclass(frozen=True)
-class SoftEcho:
+class FogEcho:
     """Table over R0 of the fog's echo in front of a surface at range R0.
 
     depth_m: (D,) R0, ascending. log_gain: (D,) log of beta / beta_0 * max over R of the integral over the pulse, times
@@ -63,7 +63,7 @@ class SoftEcho:
 
 
 @functools.cache
-def soft_echo(extinction: float, backscatter: float) -> SoftEcho:
+def fog_echo_table(extinction: float, backscatter: float) -> FogEcho:
     """Tabulate the echo of fog.
 
     With r = R - c t / 2 in place of t, the integral over the pulse is that of sin^2(pi (R - r) / (c tau)) * w(r), w(r)
@@ -93,7 +93,7 @@ def soft_echo(extinction: float, backscatter: float) -> SoftEcho:
     received = (whole - np.cos(angle) * even - np.sin(angle) * odd) / LIGHT_M_S
     best, at = _maximum(received, peak)
     gain = backscatter / (TARGET_REFLECTIVITY / math.pi) * best
-    return SoftEcho(extinction, OVERLAP_FROM_M + depth, np.log(gain), OVERLAP_FROM_M + np.minimum(at, depth))
+    return FogEcho(extinction, OVERLAP_FROM_M + depth, np.log(gain), OVERLAP_FROM_M + np.minimum(at, depth))
 
 
 def _running(x: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -121,7 +121,7 @@ class Fog(WeatherEffect):
     the authors' code scatters it by one of four random factors that the equations do not contain; our choice is the
     smooth fog of the equations. An echo of fog is not from the object (`on_object` False) and has cosine 1.
 
-    A surface's echo is lost below the sensor's least power, if that is known (`power.PowerLimit`). The fog's echo is
+    A surface's echo is lost below the sensor's least power, if that is known (`power.DetectionLoss`). The fog's echo is
     not tested: its calibration (Gamma) relates it to the echo of surfaces, not to the scale of albedo. As in the
     published method it is proportional to the reflectance of the surface behind it.
 
@@ -163,14 +163,14 @@ class Fog(WeatherEffect):
         visibility_m = context.scene.conditions.visibility_m
         if math.isinf(visibility_m):
             return unchanged
-        limit = PowerLimit.of(context, self.name)
-        soft = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
+        limit = DetectionLoss.of(context, self.name)
+        soft = fog_echo_table(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
         paired = BeamReturns.of(context)
         later = None if paired is None else paired.later
         return lambda returns: _in_fog(returns, soft, limit, later)
 
 
-def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit, later: Tensor | None) -> Returns:
+def _in_fog(returns: Returns, soft: FogEcho, limit: DetectionLoss, later: Tensor | None) -> Returns:
     range_m = returns.range_m.detach()
     log_hard = -2.0 * soft.extinction_per_m * range_m
     log_soft, soft_m = (torch.from_numpy(values) for values in soft.at(range_m.numpy()))
@@ -199,7 +199,7 @@ def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit, later: Tensor |
 def _outshone_from_m(visibility_m: float, reach: float) -> float | None:
     """Find the range beyond which fog outshines surfaces, to half a metre; None if it lies beyond reach."""
     range_m = np.arange(1.0, reach, 0.5)
-    soft = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
+    soft = fog_echo_table(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
     won = soft.at(range_m)[0] > -2.0 * soft.extinction_per_m * range_m
     return float(range_m[won.argmax()]) if won.any() else None
 

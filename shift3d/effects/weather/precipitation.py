@@ -15,7 +15,7 @@ from torch import Tensor
 from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics import power as law
 from shift3d.effects.physics.pairing import BeamReturns
-from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss
+from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, DetectionLoss, echo_power, loss
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
@@ -52,12 +52,12 @@ class Particles:
         return 1e-6 * math.pi / 4.0 * float(integral)
 
     @property
-    def per_m3(self) -> float:
+    def number_density_per_m3(self) -> float:
         """Number of particles of all sizes, 1/m^3."""
         return self.density / self.slope
 
 
-def extra_noise_m(power: Tensor, transmission: Tensor, least: float) -> Tensor:
+def weather_range_noise_m(power: Tensor, transmission: Tensor, least: float) -> Tensor:
     """Compute the additional range noise (K,) of weakened echoes, standard deviation in metres; 0 if no light is lost.
 
     Args:
@@ -158,7 +158,7 @@ def crossings(particles: Particles, divergence_rad: float) -> Crossings:
     power = np.geomspace(_LEAST_POWER, _MOST_POWER, _POWERS)[:, None]
     edge = np.geomspace(OVERLAP_FROM_M, _FAR_M, _RANGES)
     middle = 0.5 * (edge[1:] + edge[:-1])  # the overlap at 0.9 m is 0
-    counted = particles.per_m3 * np.exp(-particles.slope * empty.least_mm(power, middle))
+    counted = particles.number_density_per_m3 * np.exp(-particles.slope * empty.least_mm(power, middle))
     steps = counted * math.pi / 4.0 * empty.width_m(middle) ** 2 * np.diff(edge)
     return replace(empty, expected=np.concatenate((np.zeros((_POWERS, 1)), np.cumsum(steps, axis=1)), axis=1))
 
@@ -172,7 +172,7 @@ class ParticleEchoes:
     """
 
     crossings: Crossings
-    limit: PowerLimit
+    limit: DetectionLoss
     arrival: Tensor
     size: Tensor
     noise: Tensor
@@ -191,7 +191,7 @@ class ParticleEchoes:
         table = crossings(particles, sensor.divergence_rad or DIVERGENCE_RAD)
         noise = torch.from_numpy(context.draws(effect, "noise").standard_normal(len(context.beams)))
         later = None if paired is None else paired.later
-        return ParticleEchoes(table, PowerLimit.of(context, effect), arrival, size, noise, later)
+        return ParticleEchoes(table, DetectionLoss.of(context, effect), arrival, size, noise, later)
 
     def act(self, returns: Returns) -> Returns:
         """Weaken echoes, remove those that are too weak, and replace echoes by the nearest particle that exceeds them.
@@ -219,7 +219,7 @@ class ParticleEchoes:
         )
         if self.limit.least > 0.0:
             weak = echo_power(returns.albedo.clamp(min=LEAST_ALBEDO), returns.cosine, range_m)
-            shift = self.noise[returns.row] * extra_noise_m(weak, transmission, self.limit.least)
+            shift = self.noise[returns.row] * weather_range_noise_m(weak, transmission, self.limit.least)
             points = torch.where(surface[:, None], changed.points + shift[:, None] * changed.directions, changed.points)
             changed = replace(changed, points=points)
         return self._with_particles(changed, particle, nearest, outdone)
@@ -254,9 +254,9 @@ class Precipitation(WeatherEffect):
     behind them by their mean extinction.
 
     Echoes of surfaces are lost below the sensor's least power, if that is known, and their ranges scatter by
-    `extra_noise_m` along the beam. Reflectance and albedo become those seen through the particles. Leaves unchanged:
-    directions, cosine of surfaces, rows without a return (particles in front of the sky are neglected). A rate of 0
-    changes nothing.
+    `weather_range_noise_m` along the beam. Reflectance and albedo become those seen through the particles. Leaves
+    unchanged: directions, cosine of surfaces, rows without a return (particles in front of the sky are neglected). A
+    rate of 0 changes nothing.
 
     With fog and each other: each effect acts on the result of the one before. Extinctions add up as they should; the
     weather in front of a particle does not weaken the particle's echo.

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
-from shift3d.effects.physics.power import PowerLimit, echo_power
+from shift3d.effects.physics.power import DetectionLoss, echo_power
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 WATER_INDEX = 1.33
@@ -19,7 +19,7 @@ GROUND_BAND_M = 0.3
 _DRY_ALBEDO, _TYPICAL_M = 0.3, 20.0
 
 
-def reflected(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
+def fresnel_reflectance(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
     """Compute the share (K,) of unpolarised light that an interface of two media reflects. Source: Fresnel.
 
     Args:
@@ -36,7 +36,7 @@ def reflected(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
 
 
 @functools.cache
-def trapped() -> float:
+def internal_reflectance() -> float:
     """Compute R_wa: share of diffuse light from below that the water's surface reflects.
 
     Light takes the same path in both directions and spreads by n^2, so that 1 - R_wa = (1 - R_aw) / n^2. R_aw of
@@ -44,7 +44,7 @@ def trapped() -> float:
     """
     node, weight = np.polynomial.legendre.leggauss(64)
     cosine = torch.from_numpy(0.5 * (node + 1.0))
-    entering = float(((1.0 - reflected(cosine)) * cosine * torch.from_numpy(weight)).sum())
+    entering = float(((1.0 - fresnel_reflectance(cosine)) * cosine * torch.from_numpy(weight)).sum())
     return 1.0 - entering / WATER_INDEX**2
 
 
@@ -58,8 +58,8 @@ def wet_albedo(albedo: Tensor, cosine: Tensor) -> Tensor:
     Args:
         albedo: (K,) of the dry ground. cosine: (K,) of incidence on the water.
     """
-    through = 1.0 - reflected(cosine)
-    return through * albedo * through / WATER_INDEX**2 / (1.0 - albedo * trapped())
+    through = 1.0 - fresnel_reflectance(cosine)
+    return through * albedo * through / WATER_INDEX**2 / (1.0 - albedo * internal_reflectance())
 
 
 class WetGround(WeatherEffect):
@@ -97,11 +97,11 @@ class WetGround(WeatherEffect):
         known = sensor is not None and sensor.limit_range_m is not None
         if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:
             return unchanged
-        limit, ground_z_m = PowerLimit.of(context, self.name), context.scene.ground_z_m
+        limit, ground_z_m = DetectionLoss.of(context, self.name), context.scene.ground_z_m
         return lambda returns: _wetted(returns, limit, ground_z_m)
 
 
-def _wetted(returns: Returns, limit: PowerLimit, ground_z_m: float) -> Returns:
+def _wetted(returns: Returns, limit: DetectionLoss, ground_z_m: float) -> Returns:
     down = -returns.directions[:, 2]
     near = (returns.points.detach()[:, 2] - ground_z_m).abs() < GROUND_BAND_M
     ground = near & (down > 0.0) & returns.returned & ~returns.on_object

@@ -23,7 +23,7 @@ LiveUnits = tuple[Tensor, ...] | None
 """
 
 
-def either(a: LiveUnits, b: LiveUnits) -> LiveUnits:
+def union_of_units(a: LiveUnits, b: LiveUnits) -> LiveUnits:
     """Unite two surveys: units that are on in one of them; None if one is unknown."""
     if a is None or b is None:
         return None

@@ -23,9 +23,9 @@ from shift3d.render.field.bounding_box import verified_box
 from shift3d.render.field.object_field import Field, LiveUnits, ObjectField, VehicleFrame
 from shift3d.render.settings import STANDARD, RenderSettings
 
-SPACING_M = 0.05
+NODE_SPACING_M = 0.05
 """Node spacing of an SDF grid near the surface; twice as much elsewhere."""
-SAMPLE_M = 0.02
+READING_SPACING_M = 0.02
 """Spacing of the readings along a ray."""
 COARSE_SPACING_M = 0.45
 """Largest node spacing of a coarse grid."""
@@ -58,7 +58,7 @@ class SdfGrid:
         metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch, settings.bfloat16_band_m)
         with torch.no_grad():
             box = verified_box(metric, vehicle_size(vehicle), settings.box_margin_m).box
-            cells = ((box.upper - box.lower) / (2 * SPACING_M)).ceil().clamp_min(1).long()
+            cells = ((box.upper - box.lower) / (2 * NODE_SPACING_M)).ceil().clamp_min(1).long()
             coarse = metric.estimate(_nodes(box, cells)).float().reshape((cells + 1).tolist())
             size = (2 * cells + 1).tolist()
             fine = functional.interpolate(coarse[None, None], size, mode="trilinear", align_corners=True)[0, 0]
@@ -113,9 +113,9 @@ class SdfGrid:
     def along(self, rays: Rays) -> GridReadings:
         """Read the grid along rays that are clipped to its box."""
         longest = float((rays.far_m - rays.near_m).max()) if len(rays) else 0.0
-        count = max(2, math.ceil(longest / SAMPLE_M) + 2)
-        along = torch.arange(count, dtype=torch.float64) * SAMPLE_M
-        beyond = along > (rays.far_m - rays.near_m)[:, None] + SAMPLE_M
+        count = max(2, math.ceil(longest / READING_SPACING_M) + 2)
+        along = torch.arange(count, dtype=torch.float64) * READING_SPACING_M
+        beyond = along > (rays.far_m - rays.near_m)[:, None] + READING_SPACING_M
         # Hundreds of readings per ray: computed in grid coordinates, in which float32 is exact to a micrometre.
         scale = 2.0 / (self.box.upper - self.box.lower)
         start = (rays.origins + rays.near_m[:, None] * rays.directions - self.box.lower) * scale - 1.0
@@ -126,7 +126,7 @@ class SdfGrid:
 
 @dataclass(frozen=True)
 class GridReadings:
-    """Distances (M, S) along M rays, every `SAMPLE_M` from near_m (M,); infinite beyond the end of a ray.
+    """Distances (M, S) along M rays, every `READING_SPACING_M` from near_m (M,); infinite beyond the end of a ray.
 
     error_m: error bound. A reading below it may be at the surface, one below -error_m is surely inside; NaN may be
     either.
@@ -144,10 +144,12 @@ class GridReadings:
         """
         rows = torch.nonzero((self.distance_m < -self.error_m).any(1)).squeeze(1)
         after = (self.distance_m[rows] < 0).byte().argmax(1)
-        kept = (after > 0) & (self.distance_m[rows, after] - self.distance_m[rows, after - 1] <= -slope * SAMPLE_M)
+        kept = (after > 0) & (
+            self.distance_m[rows, after] - self.distance_m[rows, after - 1] <= -slope * READING_SPACING_M
+        )
         rows, after = rows[kept], after[kept]
         g1, g0 = self.distance_m[rows, after].double(), self.distance_m[rows, after - 1].double()
-        return rows, self.near_m[rows] + (after - 1 + g0 / (g0 - g1)) * SAMPLE_M, (g1 - g0) / SAMPLE_M
+        return rows, self.near_m[rows] + (after - 1 + g0 / (g0 - g1)) * READING_SPACING_M, (g1 - g0) / READING_SPACING_M
 
     def samples(self) -> tuple[Tensor, Tensor, Tensor]:
         """Return samples that are surely outside, and each ray's first one surely inside: rays, ranges, g.
@@ -166,11 +168,11 @@ class GridReadings:
         entered = torch.nonzero(inside.any(1)).squeeze(1)
         first = inside[entered].byte().argmax(1)
         rows, at = torch.cat((rows, entered)), torch.cat((at, first))
-        return rows, self.near_m[rows] + at * SAMPLE_M, g[rows, at].double()
+        return rows, self.near_m[rows] + at * READING_SPACING_M, g[rows, at].double()
 
     def clearance(self) -> Tensor:
         """Return (M,) least distance along each ray, less the error bound and what may lie between two readings."""
-        return (self.distance_m.min(1).values.double() - self.error_m - 0.5 * SAMPLE_M).clamp_min(0.0)
+        return (self.distance_m.min(1).values.double() - self.error_m - 0.5 * READING_SPACING_M).clamp_min(0.0)
 
 
 def vehicle_size(vehicle: VehicleFrame) -> Tensor:

@@ -110,7 +110,7 @@ class Traversal:
         near = (reach < _REGION_M) & (g > -_ROUNDING_M) & (ahead == 0)
         self._by_region[rows[near]] = True
         rows, k, g = (part[~(short | near)] for part in (rows, k, g))
-        rows, k, g = self._usable(rows, k, g)
+        rows, k, g = self._consistent_rows(rows, k, g)
         reach = (g - error_bound) / self._bound[rows]
         self._advance(rows, k, g, reach)
         expected = reach * (self._bound[rows] - _FALL) / (self._bound[rows] + _FALL)
@@ -137,7 +137,7 @@ class Traversal:
         # A beam that arrived region by region can be inside only by rounding: then its root is here.
         after_jump = torch.isfinite(self._k_before[rows]) | (k == self.rays.near_m[rows]) | (k <= 0)
         value = torch.where(after_jump, region.value, region.value.clamp_min(0.0))
-        kept, k_kept, g = self._usable(rows, k, value)
+        kept, k_kept, g = self._consistent_rows(rows, k, value)
         chosen = torch.isin(rows, kept)
         self._bound[rows[region.slope.abs() > _SUSPECT * self._bound[rows]]] = torch.inf
         slope, length = region.slope[chosen], region.length[chosen] + _NUDGE_M
@@ -156,7 +156,7 @@ class Traversal:
         self._k[rows[~jumps]] = beyond
         self._end(rows[~jumps][beyond > self.rays.far_m[rows[~jumps]]])
 
-    def _usable(self, rows: Tensor, k: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _consistent_rows(self, rows: Tensor, k: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Select the rows that are outside and respect the bound; send the others back or give them up."""
         lost = ~torch.isfinite(g)
         self._give_up(rows[lost])
@@ -164,16 +164,16 @@ class Traversal:
         allowed = self._bound[rows] * (k - k_before)
         # k_before is NaN if no step relied on the bound; then every comparison is false.
         suspect = (g_before - g > _SUSPECT * allowed) & torch.isfinite(self._bound[rows]) & ~lost
-        self._send_back(rows[suspect], k_before[suspect])
+        self._restart_by_region(rows[suspect], k_before[suspect])
         inside = (g < 0) & ~suspect & ~lost
         at_sensor = inside & (k <= 0)
         self._give_up(rows[at_sensor])
         # Inside at the start of the box: the crossing is in front of the box.
-        self._send_back(rows[inside & ~at_sensor], torch.zeros_like(k)[inside & ~at_sensor])
+        self._restart_by_region(rows[inside & ~at_sensor], torch.zeros_like(k)[inside & ~at_sensor])
         kept = ~(lost | suspect | inside)
         return rows[kept], k[kept], g[kept]
 
-    def _send_back(self, rows: Tensor, k: Tensor) -> None:
+    def _restart_by_region(self, rows: Tensor, k: Tensor) -> None:
         """Traverse every region from k on."""
         self._k[rows], self._k_before[rows] = k, torch.nan
         self._bound[rows], self._by_region[rows], self._ahead[rows] = torch.inf, True, 0.0

@@ -80,7 +80,7 @@ def refine(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, s
     end_m = torch.where(torch.isnan(hit_m), torch.inf, hit_m)
     samples = samples.before(end_m)
     if settings.local_minima:
-        samples = _watched(samples, end_m - _WATCHED_STEPS * settings.step_m)
+        samples = _mark_low_samples(samples, end_m - _WATCHED_STEPS * settings.step_m)
     samples = _thinned(samples, end_m, settings)
     nodes, done = _Nodes.of(samples, rays, hit_m).up_to_first_inside(len(rays)), []
     undecided = torch.zeros(len(rays), dtype=torch.bool)
@@ -109,7 +109,9 @@ def refine(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, s
     return Refinement(left, brackets, undecided, unrefined | starts_inside)
 
 
-def _is_plain(width_m: Tensor, g: Tensor, lower: Tensor, fall_before: Tensor, settings: RenderSettings) -> Tensor:
+def _is_clear_approach(
+    width_m: Tensor, g: Tensor, lower: Tensor, fall_before: Tensor, settings: RenderSettings
+) -> Tensor:
     """Return a mask of places from which the approach to the hit is clear, so that nothing can hide in between.
 
     On a clear approach g falls at no flat angle and about as fast as in front of the place; where g falls slower, the
@@ -129,20 +131,20 @@ def _fall_before(rows: Tensor, k: Tensor, g: Tensor) -> Tensor:
 def _thinned(samples: RaySamples, end_m: Tensor, settings: RenderSettings) -> RaySamples:
     """Drop predicted samples behind the start of a clear approach to the hit (M,), and those that prove nothing.
 
-    A sample proves nothing if only its error bound takes it below `_LOW_M`, unless `_watched` marked it.
+    A sample proves nothing if only its error bound takes it below `_LOW_M`, unless `_mark_low_samples` marked it.
     """
     rises = (samples.g[1:] > samples.g[:-1]) & (samples.rows[1:] == samples.rows[:-1])
     rows, k = samples.rows[1:][rises], samples.k[1:][rises]
     falls_from = torch.full_like(end_m, -torch.inf).scatter_reduce(0, rows, k, "amax")
     before = _fall_before(samples.rows, samples.k, samples.g)
-    plain = _is_plain(end_m[samples.rows] - samples.k, samples.g, samples.g - samples.error, before, settings)
+    plain = _is_clear_approach(end_m[samples.rows] - samples.k, samples.g, samples.g - samples.error, before, settings)
     plain &= samples.k >= falls_from[samples.rows]
     first = torch.full_like(end_m, torch.inf).scatter_reduce(0, samples.rows[plain], samples.k[plain], "amin")
     useful = (samples.g - samples.error > _LOW_M) | (samples.g <= _LOW_M) | (samples.error == samples.g)
     return samples.select(((samples.k <= first[samples.rows]) & useful) | (samples.error == 0))
 
 
-def _watched(samples: RaySamples, until_m: Tensor) -> RaySamples:
+def _mark_low_samples(samples: RaySamples, until_m: Tensor) -> RaySamples:
     """Mark, to be measured, predicted samples that are low local minima or each ray's lowest up to a range (M,).
 
     Small features change between the nodes of a coarse grid, and appear where little room is left.
@@ -199,7 +201,7 @@ class _Nodes(RaySamples):
         """Return a mask (K,) of the nodes to measure, and the places to sample. A NaN covers nothing."""
         sample = self.kind == _SAMPLE
         predicted = sample & (self.error > 0)
-        lower = self._certain(self.error, settings.max_step_m)
+        lower = self._certain_distance(self.error, settings.max_step_m)
         left, right = self.kind[:-1], self.kind[1:]
         width = self.k[1:] - self.k[:-1]
         fall = (self.g[:-1] - self.g[1:]) / width.clamp_min(1e-12)
@@ -208,7 +210,7 @@ class _Nodes(RaySamples):
         # In front of the return nothing may stay uncovered: the return itself is a sample, as in the paper.
         is_open = ~(between <= torch.where(right == _FAR, 0.0, settings.step_m))
         before = torch.where(sample[:-1], _fall_before(self.rows, self.k, torch.where(sample, self.g, 0.0))[:-1], 0.0)
-        is_open &= ~((right == _HIT) & _is_plain(width, self.g[:-1], lower[:-1], before, settings))
+        is_open &= ~((right == _HIT) & _is_clear_approach(width, self.g[:-1], lower[:-1], before, settings))
         if settings.local_minima:
             # For an interval that is closed only by the allowance `step_m`, a local slope decides.
             local = self._local_slope(fall)
@@ -222,7 +224,7 @@ class _Nodes(RaySamples):
         measured = predicted & ~(self.g - self.error > _LOW_M)
         # An interval that even exact ends would leave open is sampled, else its predicted ends are measured.
         ends = is_open & (predicted[:-1] | predicted[1:])
-        exact = self._certain(torch.zeros_like(self.g), settings.max_step_m)
+        exact = self._certain_distance(torch.zeros_like(self.g), settings.max_step_m)
         ends &= (width - (exact[:-1] + exact[1:]) / slope <= settings.step_m) | (left != _SAMPLE)
         ends |= is_open & (right == _INSIDE)
         measured[:-1] |= ends & predicted[:-1]
@@ -256,7 +258,7 @@ class _Nodes(RaySamples):
         steep = torch.where(lowest, steep, 2.0 * _FLATTEST).clamp(_FLATTEST, 1.0)
         return torch.where(joined, torch.maximum(steep[:-1], steep[1:]), 0.0)
 
-    def _certain(self, error: Tensor, most_m: float) -> Tensor:
+    def _certain_distance(self, error: Tensor, most_m: float) -> Tensor:
         """Return (K,) the certain part of |g| for error bounds (K,), metres, at most most_m; 0 at the ends of rays."""
         # most_m, because a learned field says little about far distances.
         certain = torch.where(self.kind == _SAMPLE, self.g - error, 0.0).clamp(0.0, most_m)

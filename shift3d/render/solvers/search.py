@@ -21,7 +21,7 @@ from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import Rays, rays_in_box, rows_of
 from shift3d.render.field.bounding_box import VerifiedBox, verified_box
 from shift3d.render.field.linearization import Linearization
-from shift3d.render.field.object_field import LiveUnits, ObjectField, either
+from shift3d.render.field.object_field import LiveUnits, ObjectField, union_of_units
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import RenderSettings
 from shift3d.render.solvers.corrector import correct, predict
@@ -158,7 +158,7 @@ def _from_earlier(
     grid = SdfGrid.coarse(field, box.box, hit.at(guess_m)[::_SURVEYED])
     if len(rows) == 0 or float(grid.variation(before.grid).max()) > settings.warm_change_m:
         return None  # without a hit the motion of the surface is unknown
-    live = either(before.live, grid.live if settings.live_units else None)
+    live = union_of_units(before.live, grid.live if settings.live_units else None)
     found = correct(hit, guess_m, slope, field.sliced(live), settings, _MOTION_REACH_M)
     moved_m = float(torch.nan_to_num((change + found.g_start).abs(), nan=torch.inf).max())
     box = box.after(field, _SAFETY * moved_m)
@@ -191,7 +191,7 @@ def _surveyed(state: WarmStart, field: ObjectField, settings: RenderSettings) ->
     while state.live is not None and state.age == 0:
         hit = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
         rays, range_m = state.rays.select(hit), state.range_m[hit]
-        live = either(state.live, field.survey(rays.at(range_m))[1]) if len(hit) else state.live
+        live = union_of_units(state.live, field.survey(rays.at(range_m))[1]) if len(hit) else state.live
         if live is None or all(torch.equal(new, old) for new, old in zip(live, state.live, strict=True)):
             break
         sliced = field.sliced(live)

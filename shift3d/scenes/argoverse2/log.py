@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes, validate_boxes
-from shift3d.geometry.rigid import from_quaternion, heading_of, interpolated, inverse
-from shift3d.scenes.listing import opened, stems_in
+from shift3d.geometry.rigid import from_quaternion, heading_of, interpolate_poses, inverse
+from shift3d.scenes.file_checks import opened, stems_in
 from shift3d.scenes.scene import Labels
 from shift3d.store.location import Location
 
@@ -139,7 +139,7 @@ def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _
         if np.abs(times - (timestamp + offset)).min() > _FARTHEST_NS:
             what = f"no pose near the sweep {timestamp}, {offset / 1e6:g} ms after its start"
             raise InputError(what, str(_poses_file(log)), "Pair files of one log: copy both again")
-    return interpolated(times, city, timestamp + offset_ns)
+    return interpolate_poses(times, city, timestamp + offset_ns)
 
 
 def ego_velocity_m_s(log: Location, timestamp: int) -> tuple[float, float, float] | None:
@@ -151,7 +151,7 @@ def ego_velocity_m_s(log: Location, timestamp: int) -> tuple[float, float, float
     later = min(_TENTH_NS, int(times[-1]) - timestamp)
     if later <= _FARTHEST_NS:
         return None
-    start, end = interpolated(times, city, np.array([timestamp, timestamp + later]))
+    start, end = interpolate_poses(times, city, np.array([timestamp, timestamp + later]))
     x, y, z = (inverse(start) @ end)[:3, 3] * (1e9 / later)
     return (float(x), float(y), float(z))
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, moved
+from shift3d.scenes.file_checks import names_in, opened, read_array
 from shift3d.scenes.ground_map import GroundMap
-from shift3d.scenes.listing import names_in, opened, read_array
 from shift3d.store.location import Location
 
 Float = NDArray[np.float64]

@@ -19,8 +19,8 @@ from shift3d.scenes.argoverse2.log import (
     timestamps,
 )
 from shift3d.scenes.argoverse2.map_files import map_files, read_ground_map
+from shift3d.scenes.file_checks import abbreviated_list, names_in, require_metres
 from shift3d.scenes.ground_map import estimate_ground_z
-from shift3d.scenes.listing import first_few, names_in, require_metres
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sets import RecordedScenes
 from shift3d.store.location import Location
@@ -118,7 +118,9 @@ class Argoverse2Scenes(RecordedScenes):
     def _split(self, name: str) -> tuple[Location, int]:
         log, _, timestamp = name.rpartition("-")
         if log not in self._logs or not timestamp.isdecimal():
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose a log from: {first_few(self._logs)}")
+            raise InputError(
+                f"unknown scene {name!r}", str(self.root), f"Choose a log from: {abbreviated_list(self._logs)}"
+            )
         return self._logs[log], int(timestamp)
 
 

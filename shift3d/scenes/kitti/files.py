@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d
-from shift3d.scenes.listing import read_lines, read_records, refuse_not_finite, require_metres
+from shift3d.scenes.file_checks import read_lines, read_records, refuse_not_finite, require_metres
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted

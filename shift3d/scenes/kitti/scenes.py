@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
+from shift3d.scenes.file_checks import names_in, stems_in
 from shift3d.scenes.ground_map import estimate_ground_z, search_ground_z
 from shift3d.scenes.kitti.files import (
     CLASSES,
@@ -20,9 +21,8 @@ from shift3d.scenes.kitti.files import (
     read_labels,
     read_points,
 )
-from shift3d.scenes.listing import names_in, stems_in
 from shift3d.scenes.scene import Labels, Scene
-from shift3d.scenes.sets import RecordedScenes, from_one_place
+from shift3d.scenes.sets import RecordedScenes, shared_origins
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike
 
@@ -89,7 +89,7 @@ class KittiScenes(RecordedScenes):
             scene_id=name,
             dataset=self.dataset,
             points=points,
-            origins=from_one_place(points),
+            origins=shared_origins(points),
             ground_z_m=read_ground_z(ground) if ground.is_file() else _ground_z(points),
             labels=self._labels(name, points),
             reflectance=reflectance,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, moved
+from shift3d.scenes.file_checks import abbreviated_list, names_in, read_records, require_metres, stems_in
 from shift3d.scenes.ground_map import estimate_ground_z
-from shift3d.scenes.listing import first_few, names_in, read_records, require_metres, stems_in
 from shift3d.scenes.nuscenes.tables import LidarFile, Poses, Release, boxes_of, read_annotations, read_weather
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sets import RecordedScenes
@@ -78,7 +78,7 @@ class NuScenesScenes(RecordedScenes):
             return self._alone(name)
         release = self._release
         if name not in self._needed:
-            known = first_few(self._needed or release.key_frames)
+            known = abbreviated_list(self._needed or release.key_frames)
             raise InputError(f"unknown scene {name!r}", str(self._tables), f"Choose from: {known}")
         files = self._files(name)
         poses, mounts = self._poses
@@ -165,7 +165,9 @@ def _tables(root: Location, version: str | None) -> Location | None:
     found = [name for name in names_in(root) if name.startswith("v1.0-")]
     if version is not None:
         if version not in found:
-            raise InputError(f"no tables {version}/", str(root), f"Choose from: {first_few(found) or 'none there'}")
+            raise InputError(
+                f"no tables {version}/", str(root), f"Choose from: {abbreviated_list(found) or 'none there'}"
+            )
         return root / version
     if len(found) > 1:
         raise InputError(f"{len(found)} versions of tables", str(root), f"Give one: scenes.version={found[0]}")

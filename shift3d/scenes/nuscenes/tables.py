@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.geometry.rigid import from_quaternion, heading_of
-from shift3d.scenes.listing import opened
+from shift3d.scenes.file_checks import opened
 from shift3d.scenes.scene import Labels
 from shift3d.store.location import Location
 

@@ -12,7 +12,6 @@ from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.sensor import SensorModel
-from shift3d.scenes.street.behind import second_returns
 from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.build.item import LABELLED
 from shift3d.scenes.street.build.layout import Layout, sample_layout
@@ -21,7 +20,8 @@ from shift3d.scenes.street.build.world import PlacedVehicle, World
 from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.scenes.street.raycast import Sweep
 from shift3d.scenes.street.returns import Echoes, Paint, finish, no_return_beams, sensor_model
-from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, companions, side_sensors
+from shift3d.scenes.street.second_hits import second_returns
+from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, other_heads, side_sensors
 from shift3d.seeding import generator
 
 
@@ -46,7 +46,7 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
     sensor = _sensor(split, sensor_name)
     parts = ("street-scene", split, seed, index, sensor_name)
     layout, world = _street(parts, sensor, options)
-    seen_by = seeing(sensor, options)
+    seen_by = scanning_sensor(sensor, options)
     echoes, sweeps, second = _sense(world, layout, seen_by, options, parts)
     compensated = options.motion_compensated
     return Scene(
@@ -80,7 +80,7 @@ def _street(parts: tuple[str | int, ...], sensor: Sensor, options: StreetOptions
     return layout, World.of(layout, fleet, driven_m=options.ego_speed_m_s * sensor.turn_s)
 
 
-def seeing(sensor: Sensor, options: StreetOptions) -> Sensor:
+def scanning_sensor(sensor: Sensor, options: StreetOptions) -> Sensor:
     """Return the sensor that scans a sensor's street, at the same height."""
     return sensor if options.beams is None else replace(BEAMS[options.beams], mount_height_m=sensor.mount_height_m)
 
@@ -115,7 +115,7 @@ def _sense(
         second = second_returns(world, main, range_m, kept, paint, generator(*parts, "second returns"))
         echoes.append(Echoes.of(main, *second, compensated))
     beside = side_sensors(sensor, options.sensors - 1, options.ego_speed_m_s)
-    for number, (model, mount) in enumerate([*beside, *companions(sensor, options.ego_speed_m_s)]):
+    for number, (model, mount) in enumerate([*beside, *other_heads(sensor, options.ego_speed_m_s)]):
         rng = generator(*parts, "side sensor", number)
         side = Sweep.empty(model, mount)
         world.cast(side, rng)
@@ -184,8 +184,8 @@ def street_facts(scene_id: str, sensor_name: str, options: StreetOptions) -> Sce
     The generated scene may differ in two numbers that affect no decision: here ``no_return_beams`` counts the beams
     that the sensor drops at random, and ``scan_s`` is the whole turn in float32. The ground is always in view.
     """
-    sensor = seeing(SENSORS[sensor_name], options)
-    heads = companions(sensor, options.ego_speed_m_s)
+    sensor = scanning_sensor(SENSORS[sensor_name], options)
+    heads = other_heads(sensor, options.ego_speed_m_s)
     times = sensor.firing_times_s().astype(np.float32)
     beams = len(sensor.elevations_rad) * sensor.columns * (1 + len(heads))
     moving_origins = options.motion_compensated and options.ego_speed_m_s > 0.0

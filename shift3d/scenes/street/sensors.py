@@ -118,7 +118,7 @@ BY_NAME = {**BEAMS, SHORT32.name: SHORT32, _AV2_LOWER.name: _AV2_LOWER}
 _CORNERS = ((2.0, 1.0, 45.0), (2.0, -1.0, -45.0), (-3.6, 1.0, 135.0), (-3.6, -1.0, -135.0))  # x, y, degrees
 
 
-def companions(main: Sensor, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
+def other_heads(main: Sensor, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
     """Return the other heads of a sensor with several, at the main head's mount height; none for most sensors."""
     if main.name != AV2_PAIR.name:
         return []

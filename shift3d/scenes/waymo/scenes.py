@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse
+from shift3d.scenes.file_checks import abbreviated_list, names_in, require_metres, stems_in
 from shift3d.scenes.ground_map import estimate_ground_z
-from shift3d.scenes.listing import first_few, names_in, require_metres, stems_in
 from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.sensor import NoReturnBeams
 from shift3d.scenes.sets import RecordedScenes
@@ -141,7 +141,7 @@ class WaymoScenes(RecordedScenes):
         if not timestamp.isdecimal() or segment not in self._segments:
             if name in self._segments:  # a bad segment listed by keep_bad: raise its error
                 component_file(self.root, "lidar", name).timestamps()
-            remedy = f"Choose a segment from: {first_few(self._segments)}"
+            remedy = f"Choose a segment from: {abbreviated_list(self._segments)}"
             raise InputError(f"unknown scene {name!r}", str(self.root), remedy)
         return segment, int(timestamp)
 

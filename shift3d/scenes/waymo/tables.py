@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.scenes.listing import opened
+from shift3d.scenes.file_checks import opened
 from shift3d.store.location import Location
 
 SEGMENT, FRAME, LASER = "key.segment_context_name", "key.frame_timestamp_micros", "key.laser_name"

@@ -22,7 +22,7 @@ _COMPARED_SCENES = 3
 _done: dict[str, str] = {}
 
 
-def require_score_only(config: Config) -> None:
+def refuse_gradient_search(config: Config) -> None:
     """Refuse a gradient search on an ONNX file, which gives no gradient. Raises: InputError."""
     if config.detector.name == ONNX and (search := config.attack.search) not in ("evolution", "random"):
         what = f"attack.search={search} follows a gradient, and an ONNX file gives none"
@@ -35,7 +35,7 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
     The process caches the result per file, original and scenes. Without an original, nothing is compared.
     names: names of a sweep's scenes; the comparison uses the first three.
 
-    Raises: InputError: scores differ by more than 1e-3 (see `agreement.require_agreement`), or no loadable original.
+    Raises: InputError: scores differ by more than 1e-3 (see `check_score_agreement`), or no loadable original.
     """
     if config.original is None:
         return f"{config.file}: scores are compared with no original, as detector.original names none"
@@ -44,12 +44,12 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
     where = [scenes.source(name) for name in first]  # frames of two folders may have one name
     key = repr((config.file, config.original, weights.get(config.original), config.module, layout, where))
     if key not in _done:
-        from shift3d.detectors.compiled.agreement import require_agreement
+        from shift3d.detectors.compiled.agreement import check_score_agreement
         from shift3d.detectors.loading import detector_of
 
         compiled = detector_of(ONNX, config.file, None, "float32")
         original = detector_of(config.original, weights.get(config.original), config.module, "float32", layout)
-        worst = require_agreement(original, compiled, _clouds(scenes, first), str(config.file))
+        worst = check_score_agreement(original, compiled, _clouds(scenes, first), str(config.file))
         _done[key] = (
             f"{config.file}: scores are those of {config.original} within {worst.difference:.1g} "
             f"in {counted(len(first), 'scene')}"
@@ -57,13 +57,13 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
     return _done[key]
 
 
-def compiled_network(name: str, weights: str | None) -> tuple[bytes, float]:
+def export_onnx_detector(name: str, weights: str | None) -> tuple[bytes, float]:
     """Export a detector of shift3d; return the bytes of the ONNX file and the largest score difference on two streets.
 
     weights: a file; None: the shipped weights. Raises: InputError: unreadable weights, a network without an export,
         missing packages, or scores that differ by more than 1e-3.
     """
-    from shift3d.detectors.compiled.agreement import require_agreement
+    from shift3d.detectors.compiled.agreement import check_score_agreement
     from shift3d.detectors.compiled.onnx_detector import onnx_detector
     from shift3d.detectors.compiled.onnx_export import onnx_bytes
     from shift3d.detectors.loading import load_detector
@@ -75,7 +75,7 @@ def compiled_network(name: str, weights: str | None) -> tuple[bytes, float]:
     content = onnx_bytes(load_network(file, name))
     streets, where = StreetScenes("mixed", count=2), f"{name} as ONNX"
     compiled = onnx_detector(content, where)
-    worst = require_agreement(original, compiled, _clouds(streets, streets.names()), where)
+    worst = check_score_agreement(original, compiled, _clouds(streets, streets.names()), where)
     return content, worst.difference
 
 

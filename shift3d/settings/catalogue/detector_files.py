@@ -61,10 +61,10 @@ def detector_layouts(config: DetectorConfig) -> dict[str, dict[str, Any]]:
     """
     if config.config is None:
         return {}
+    from shift3d.detectors.foreign.config_common import ForeignOverrides
     from shift3d.detectors.foreign.detector import foreign_layout
-    from shift3d.detectors.foreign.parts import Choices
 
-    choices = Choices(config.vehicle_class, config.sensor_height_m, config.intensity)
+    choices = ForeignOverrides(config.vehicle_class, config.sensor_height_m, config.intensity)
     names = [name for name in FOREIGN if name in config.named()]
     return {name: foreign_layout(name, Path(config.config).expanduser(), choices) for name in names}
 

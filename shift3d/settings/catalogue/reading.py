@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
-from shift3d.settings.catalogue.compiled import compare_with_original, require_score_only
+from shift3d.settings.catalogue.compiled import compare_with_original, refuse_gradient_search
 from shift3d.settings.catalogue.detector_files import (
     detector_hash,
     detector_layouts,
@@ -125,7 +125,7 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
 
     preview: leave out hashes of scenes that would have to be generated for their hash alone, see `scene_entries`.
     """
-    require_score_only(config)
+    refuse_gradient_search(config)
     scenes = scene_set(config.scenes)
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle.model_dump()), scoring_detectors(config.detector)

@@ -25,7 +25,7 @@ from shift3d.errors import InputError
 from shift3d.processor import usable_cpus
 from shift3d.progress_bar import progress_bar
 from shift3d.scenes.facts import SceneFacts
-from shift3d.store.user_cache import keep, program_digest, read_kept, user_cache
+from shift3d.store.user_cache import cache_result, program_digest, read_cached, user_cache
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
@@ -109,14 +109,14 @@ def _look_at(scenes: SceneSet, name: str, skip_bad: bool | None) -> SceneEntry |
         remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
         raise InputError(error.what, error.where, remedy) from error
     entry = SceneEntry(name, scene.dataset, scene.content_hash(), SceneFacts.of(scene))
-    keep(_file(source), json.dumps(asdict(entry)).encode())
+    cache_result(_file(source), json.dumps(asdict(entry)).encode())
     configured = scenes.configured(name)
     return entry if configured is None else replace(entry, facts=configured[1])
 
 
 def _kept(source: Sequence[object]) -> SceneEntry | None:
     """Return a scene's entry from the cache, or None. source: value of `SceneSet.source`."""
-    content = read_kept(_file(source))
+    content = read_cached(_file(source))
     return None if content is None else _entries().validate_python(json.loads(content))
 
 

@@ -7,16 +7,16 @@ from typing import Annotated, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from shift3d.attack.names import SearchName, SpaceName
-from shift3d.settings.schema.records import LARGEST, Count, NotNegative, Number, Positive, Record
+from shift3d.settings.schema.records import LARGEST, Count, NonNegativeFloat, NonNegativeInt, Positive, Record
 
 
 class PlacementConfig(Record):
     """Limits for the placement of a vehicle; metres."""
 
-    min_range_m: NotNegative
+    min_range_m: NonNegativeFloat
     max_range_m: Positive
-    min_object_points: Number
-    overlap_m: NotNegative
+    min_object_points: NonNegativeInt
+    overlap_m: NonNegativeFloat
     contact_m: Positive
     attempts: Count
 
@@ -39,17 +39,17 @@ class AttackConfig(Record):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
 
-    steps: Number
-    selection_window: Number = 0
+    steps: NonNegativeInt
+    selection_window: NonNegativeInt = 0
     alpha: Positive
     lambda_: Annotated[float, Field(alias="lambda", ge=0, le=LARGEST, allow_inf_nan=False)]
-    random_replicates: Number
-    noise_replicates: Number
-    noise_sigma: NotNegative
-    noise_share: NotNegative = 0.0
-    max_shift_m: NotNegative
-    max_tilt_rad: NotNegative
-    below_ground_m: NotNegative = 0.05
+    random_replicates: NonNegativeInt
+    noise_replicates: NonNegativeInt
+    noise_sigma: NonNegativeFloat
+    noise_share: NonNegativeFloat = 0.0
+    max_shift_m: NonNegativeFloat
+    max_tilt_rad: NonNegativeFloat
+    below_ground_m: NonNegativeFloat = 0.05
     detection_radius_m: Annotated[float, Field(gt=0, le=5, allow_inf_nan=False)]
     search: SearchName = "descent"
     space: SpaceName = "free"
@@ -59,8 +59,8 @@ class AttackConfig(Record):
     starts: Annotated[int, Field(ge=1, le=64)] = 1
     random_search: Annotated[int, Field(ge=0, le=1)] = 0
     naturalness: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = 0.0
-    search_scenes: Number = 0
-    transfer_scenes: Number = 0
+    search_scenes: NonNegativeInt = 0
+    transfer_scenes: NonNegativeInt = 0
     edit: str = ""
     placement: PlacementConfig
 

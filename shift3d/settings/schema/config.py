@@ -10,7 +10,7 @@ from shift3d.detectors.names import FOREIGN, ONNX, OWN, DetectorName
 from shift3d.effects.applicability import NEEDS
 from shift3d.settings.names import Text
 from shift3d.settings.schema.attack import AttackConfig
-from shift3d.settings.schema.records import Count, NotNegative, Number, Positive, Record, Seed, Share
+from shift3d.settings.schema.records import Count, NonNegativeFloat, NonNegativeInt, Positive, Record, Seed, Share
 from shift3d.settings.schema.scenes import SceneConfig
 
 
@@ -52,7 +52,7 @@ class DetectorConfig(Record):
     shipped weights. scored_by: names of scoring detectors; None: every detector with weights. The attacked detector
     always scores, as the first. module: Python file of the user's detector "own". file: file of the detector "onnx".
     original: detector that the ONNX file was exported from, whose scores it must match. config: config file of another
-    codebase's detector. vehicle_class, sensor_height_m, intensity: see `detectors.foreign.parts.Choices`.
+    codebase's detector. vehicle_class, sensor_height_m, intensity: see `detectors.foreign.parts.ForeignOverrides`.
     """
 
     name: DetectorName
@@ -175,8 +175,8 @@ class EffectsConfig(Record):
 
     use: dict[EffectName, bool]
     visibility_m: Positive | None
-    rain_mm_h: NotNegative | None
-    snow_mm_h: NotNegative | None
+    rain_mm_h: NonNegativeFloat | None
+    snow_mm_h: NonNegativeFloat | None
     range_noise_m: Annotated[float, Field(gt=0, le=10.0)] | None
     divergence_rad: Annotated[float, Field(gt=0, le=0.1)] | None
     limit_range_m: Annotated[float, Field(gt=0, le=1e5)] | None
@@ -213,7 +213,7 @@ class RayRunnerConfig(Record):
     worker_memory_mb: Positive | None
     task_timeout_s: Positive | None
     batch_seconds: Positive
-    commit_seconds: NotNegative
+    commit_seconds: NonNegativeFloat
     abort_after: Count | None
     abort_share: Share | None
 
@@ -226,7 +226,7 @@ class LocalRunnerConfig(Record):
     """Runner in this process, one task after the other."""
 
     kind: Literal["local"]
-    commit_seconds: NotNegative
+    commit_seconds: NonNegativeFloat
     abort_after: Count | None
     abort_share: Share | None
 
@@ -268,7 +268,7 @@ class Config(Record):
     mode: Literal["shape", "pose", "shape_pose"]
     scene: Text | None
     seed: Seed
-    replicate: Number
+    replicate: NonNegativeInt
 
     @model_validator(mode="after")
     def _a_reference_for_the_budget(self) -> Self:

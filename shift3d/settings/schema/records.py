@@ -10,10 +10,10 @@ Seed = Annotated[int, Field(ge=0, lt=2**63)]
 # Values beyond these limits are typing errors: 10**12 scenes, or 1e300, whose square is infinite.
 _MOST, LARGEST = 10**6, 1e9
 Count = Annotated[int, Field(ge=1, le=_MOST)]
-Number = Annotated[int, Field(ge=0, le=_MOST)]
+NonNegativeInt = Annotated[int, Field(ge=0, le=_MOST)]
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, lt=1)]
-NotNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
+NonNegativeFloat = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
 
 
 class Record(BaseModel):

@@ -49,7 +49,7 @@ _MEANINGS = (
 )
 
 
-def explained(error: Exception, url: str) -> InputError:
+def store_error(error: Exception, url: str) -> InputError:
     """Return an InputError with the URL, the cause and the remedy. error: as obstore raised it."""
     text = f"{type(error).__name__} {error}"
     scheme = url.partition("://")[0]

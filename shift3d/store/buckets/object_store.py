@@ -27,7 +27,7 @@ from obstore.store import GCSStore, S3Store
 
 from shift3d.errors import InputError
 from shift3d.store.atomic import UncertainError
-from shift3d.store.buckets.object_errors import check_endpoint, explained
+from shift3d.store.buckets.object_errors import check_endpoint, store_error
 from shift3d.store.location import Item, Location, Result
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _clear_errors(url: str) -> Iterator[None]:
     except _ERRORS as error:
         if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in str(error):
             raise FileNotFoundError(url) from error
-        raise explained(error, url) from error
+        raise store_error(error, url) from error
 
 
 class _Ranges(io.RawIOBase):

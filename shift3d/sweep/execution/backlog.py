@@ -44,13 +44,13 @@ class Backlog:
             return [self._alone.popleft()]
         taken = [self._again.popleft() for _ in range(min(size, len(self._again)))]
         if len(taken) < size:
-            start, end = self._stretch_of(worker)
+            start, end = self._range_of(worker)
             upto = min(start + size - len(taken), end)
             taken += self._positions[start:upto].tolist()
             self._stretches[worker] = (upto, end)
         return taken
 
-    def _stretch_of(self, worker: Hashable) -> tuple[int, int]:
+    def _range_of(self, worker: Hashable) -> tuple[int, int]:
         """Return a worker's range; at its end the later half of the longest one, or all of the unowned one."""
         start, end = self._stretches.get(worker, (0, 0))
         if start < end:

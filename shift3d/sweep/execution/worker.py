@@ -32,7 +32,7 @@ _IO_TRIES = 4
 _IO_PAUSE_S = (0.5, 2.0, 8.0)
 # Errors of the file system that do not pass: readers report missing files with them.
 _LASTING = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
-_GIVES_BACK_S = 1.0
+_RELEASE_MEMORY_AFTER_S = 1.0
 """Batch duration from which memory is given back, which takes some hundredths of a second."""
 
 
@@ -154,8 +154,8 @@ class Worker:
                 outcome.unread.append(rows.task_id)
         outcome.seconds = time.perf_counter() - began
         outcome.peak_mb = _peak_mb()
-        if outcome.seconds > _GIVES_BACK_S:
-            _give_memory_back()
+        if outcome.seconds > _RELEASE_MEMORY_AFTER_S:
+            _release_free_memory()
         return outcome
 
     def _tables_of(self, results: list[_Rows]) -> dict[str, pa.Table]:
@@ -211,7 +211,7 @@ def _is_io(error: BaseException) -> bool:
     return cause is not None and not isinstance(cause, _LASTING)
 
 
-def _give_memory_back() -> None:
+def _release_free_memory() -> None:
     """Return the memory of freed tensors from glibc's allocator to the system.
 
     The tensors of a task have many sizes, which fragment the heap: a Ray worker held 3 GB after a dozen shape attacks.

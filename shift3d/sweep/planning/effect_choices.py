@@ -11,7 +11,7 @@ from shift3d.effects.applicability import NEEDS, Choice, choose
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.schema.config import Config
-from shift3d.sweep.planning.tasks import numbered
+from shift3d.sweep.planning.tasks import distinct_with_indices
 
 _WEATHER = ("fog", "rain", "snow", "wet_ground")
 _USERS: Mapping[str, tuple[str, ...]] = {
@@ -32,7 +32,7 @@ Decision = tuple[Choice, tuple[str, ...]]
 
 
 @dataclass
-class EffectChoices:
+class EffectChoiceCache:
     """Cache of effect choices: scenes that differ only in their names are decided once."""
 
     _lines: dict[tuple[str, bool], tuple[Choice, dict[str, None]]] = field(default_factory=dict)
@@ -66,7 +66,7 @@ class EffectChoices:
     def _kinds(self, catalogue: Catalogue) -> tuple[list[int], list[SceneFacts]]:
         """Return the index of each scene's facts (without its name), and the distinct facts."""
         if id(catalogue) not in self._alike:
-            _, numbers = numbered(replace(entry.facts, scene_id="") for entry in catalogue.scenes)
+            _, numbers = distinct_with_indices(replace(entry.facts, scene_id="") for entry in catalogue.scenes)
             first = np.unique(numbers, return_index=True)[1]
             # The cache keeps the catalogue alive, so that its id() stays unique.
             self._alike[id(catalogue)] = (catalogue, numbers.tolist(), [catalogue.scenes[at].facts for at in first])

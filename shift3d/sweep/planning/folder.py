@@ -19,7 +19,7 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.planning.plan_file import other_requests, plan_bytes, read_tasks
+from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks, stored_effect_requests
 from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.task.exchange import AssetsSpec
 from shift3d.wording import counted
@@ -80,7 +80,7 @@ def _check_requests(folder: Location, plan: Plan) -> None:
     """Refuse a plan of equal tasks with other requested effects: the folder's plan lacks the groups of its tables."""
     path = folder / "plan.parquet"
     complete = (folder / "env.json").is_file() and path.is_file()  # env.json is last; without it the plan is rewritten
-    if complete and (begun := other_requests(path.read_bytes(), plan.tasks)):
+    if complete and (begun := stored_effect_requests(path.read_bytes(), plan.tasks)):
         what = f"holds the same tasks, begun with effects={','.join(begun)}, which come to the same in these scenes"
         raise InputError(what, str(folder), "Choose another folder with out=DIR, or give those effects")
 

@@ -16,7 +16,7 @@ from shift3d.settings import messages
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.schema.config import Config
 from shift3d.settings.schema.scenes import FramesConfig
-from shift3d.sweep.planning.effect_choices import EffectChoices
+from shift3d.sweep.planning.effect_choices import EffectChoiceCache
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.spec import TaskSpec, TransferScene
 
@@ -37,11 +37,11 @@ class _Layout:
 
 
 @dataclass
-class Layouts:
+class LayoutCache:
     """Cache of layouts while a plan is made. builder: numbers the task scenes. where: for errors."""
 
     builder: TasksBuilder
-    decided: EffectChoices
+    decided: EffectChoiceCache
     where: str
     _known: dict[tuple[object, ...], _Layout] = field(default_factory=dict)
 

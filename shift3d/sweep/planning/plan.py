@@ -17,11 +17,11 @@ from shift3d.progress_bar import progress_bar
 from shift3d.settings import messages
 from shift3d.settings.catalogue.detector_files import detector_layouts, require_in_grid, require_used
 from shift3d.settings.catalogue.reading import Catalogue
-from shift3d.settings.compose import Composed
+from shift3d.settings.compose import ComposedSweep
 from shift3d.settings.expand import expand
 from shift3d.settings.schema.config import Config, DetectorConfig
-from shift3d.sweep.planning.effect_choices import Decision, EffectChoices
-from shift3d.sweep.planning.layout import Layouts
+from shift3d.sweep.planning.effect_choices import Decision, EffectChoiceCache
+from shift3d.sweep.planning.layout import LayoutCache
 from shift3d.sweep.planning.tasks import Tasks
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.exchange import AssetsSpec
@@ -79,7 +79,7 @@ class Plan:
 _HASHED = 65_536  # ids per update of the hash
 
 
-def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -> tuple[Plan, Config]:
+def make_plan(composed: ComposedSweep, catalogue_of: Callable[[Config], Catalogue]) -> tuple[Plan, Config]:
     """Expand a sweep into its tasks.
 
     Combinations with the same task (a pose attack under several lambda) give one task, at its first place in the order.
@@ -95,8 +95,8 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
     builder = TasksBuilder()
     first: Config | None = None
     detectors: list[DetectorConfig] = []
-    decided = EffectChoices()
-    layouts = Layouts(builder, decided, where)
+    decided = EffectChoiceCache()
+    layouts = LayoutCache(builder, decided, where)
     several = math.prod(len(axis.values) for axis in composed.axes)
     # Decoding takes seconds per vehicle.
     combinations = progress_bar(expand(composed), desc="planning", total=several, leave=False, delay=5.0)

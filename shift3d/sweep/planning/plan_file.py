@@ -126,7 +126,7 @@ def read_tasks(content: bytes, where: str) -> Tasks:
         raise InputError(f"cannot be read ({error})", where=where, remedy="Restore it from a copy") from error
 
 
-def other_requests(content: bytes, tasks: Tasks) -> tuple[str, ...]:
+def stored_effect_requests(content: bytes, tasks: Tasks) -> tuple[str, ...]:
     """Return the effect settings of a stored plan of the same tasks; () if equal to those of `tasks` or unreadable."""
     try:
         source = pa.BufferReader(content)

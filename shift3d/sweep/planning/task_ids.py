@@ -28,7 +28,7 @@ def _json(value: Any) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=dataclasses.asdict)
 
 
-def in_scene(template: TaskSpec, task_scene: TaskScene, task_id: str) -> TaskSpec:
+def spec_in_scene(template: TaskSpec, task_scene: TaskScene, task_id: str) -> TaskSpec:
     """Return the spec of a template in a scene. task_id: its id, which is not computed again."""
     scene, scene_hash, others = task_scene
     spec = dataclasses.replace(template, scene=scene, scene_hash=scene_hash, transfer_scenes=others)

@@ -13,14 +13,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.sweep.planning.task_ids import TaskScene, in_scene, read_task_scene
+from shift3d.sweep.planning.task_ids import TaskScene, read_task_scene, spec_in_scene
 from shift3d.task.spec import TaskSpec
 from shift3d.wording import counted
 
 Value = TypeVar("Value", bound=Hashable)
 
 
-def numbered(values: Iterable[Value]) -> tuple[list[Value], np.ndarray]:
+def distinct_with_indices(values: Iterable[Value]) -> tuple[list[Value], np.ndarray]:
     """Return the distinct values in order of first appearance, and the index of each value among them, (N,) int64."""
     places: dict[Value, int] = {}
     found = np.array([places.setdefault(value, len(places)) for value in values], dtype=np.int64)
@@ -85,7 +85,7 @@ class Tasks(Sequence[PlannedTask]):
             raise IndexError(f"task {index} of {len(self)}")
         index %= len(self)
         task_scene = read_task_scene(self.task_scenes[int(self.task_scene[index])].as_py())
-        spec = in_scene(self.templates[self.template[index]], task_scene, self.ids[index].as_py())
+        spec = spec_in_scene(self.templates[self.template[index]], task_scene, self.ids[index].as_py())
         return PlannedTask(spec, int(self.assets[index]), self.requested_values[self.requested[index]])
 
     def __iter__(self) -> Iterator[PlannedTask]:
@@ -150,7 +150,7 @@ class Tasks(Sequence[PlannedTask]):
 
     def scenes(self) -> list[tuple[str, str]]:
         """Return the scenes of the tasks as (data set, name), in the order of their first task."""
-        names, dataset = numbered(template.dataset for template in self.templates)
+        names, dataset = distinct_with_indices(template.dataset for template in self.templates)
         keys, first = np.unique(dataset[self.template] * len(self.task_scenes) + self.task_scene, return_index=True)
         pairs = (divmod(int(keys[index]), len(self.task_scenes)) for index in np.argsort(first))
         return list(dict.fromkeys((names[code], self._scenes[task_scene][0]) for code, task_scene in pairs))
@@ -162,8 +162,10 @@ class Tasks(Sequence[PlannedTask]):
     def ambiguous_scenes(self) -> list[tuple[str, str]]:
         """Return (data set, name) of scenes with equal name and `scene_arguments` but different content, such as frames
         of two folders, in the order of their first task. Unknown contents are ignored."""
-        made, kind = numbered((t.dataset, json.dumps(t.scene_arguments, sort_keys=True)) for t in self.templates)
-        known, scene = numbered(scene[:2] for scene in self._scenes)
+        made, kind = distinct_with_indices(
+            (t.dataset, json.dumps(t.scene_arguments, sort_keys=True)) for t in self.templates
+        )
+        known, scene = distinct_with_indices(scene[:2] for scene in self._scenes)
         keys, first = np.unique(kind[self.template] * len(known) + scene[self.task_scene], return_index=True)
         contents: dict[tuple[int, str], set[str]] = {}
         for at, number in (divmod(key, len(known)) for key in keys[np.argsort(first)].tolist()):

@@ -20,7 +20,7 @@ from shift3d.methods import METHODS_OF_MODE
 from shift3d.store.log import committed_rows
 from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SWEPT
+from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SWEEP_TABLES
 from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.results.bev_grids import bev_rows, groups, transfer_rows
@@ -55,7 +55,7 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     verification is damaged or of another version; the disk is full.
     """
     folder = as_location(folder)
-    tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in SWEPT}
+    tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in SWEEP_TABLES}
     if (path := folder / VERIFICATION / "final" / "verification.parquet").is_file():
         tables["verification"] = read_table(path, "verification")
         tables["scores"] = with_verification(tables["scores"], tables["verification"])
@@ -98,7 +98,7 @@ def with_verification(scores: pa.Table, verification: pa.Table) -> pa.Table:
 
 def check_segments(folder: LocationLike, entries: Sequence[Commit]) -> None:
     """Read all that `write_final` reads, before work that ends with it. Raises InputError as it does."""
-    for name in SWEPT:
+    for name in SWEEP_TABLES:
         committed_rows(folder, entries, name)
 
 

@@ -16,14 +16,14 @@ from shift3d.errors import InputError
 from shift3d.store.log import CommitLog, committed_rows
 from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike
-from shift3d.store.schemas import SWEPT
+from shift3d.store.schemas import SWEEP_TABLES
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.spec_file import read_spec
 
 _TASKS_A_COMMIT = 100_000
 
 
-def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
+def copy_finished_tasks(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     """Commit the tasks of a plan that another sweep has finished and this one has not. Return their number.
 
     The other sweep may have any name, be unfinished or be running: its commits count, its quarantined tasks do not. A
@@ -43,7 +43,7 @@ def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     wanted = np.flatnonzero(there & here)
     if not len(wanted):
         return 0
-    tables = {name: _renamed(committed_rows(other, entries, name), plan.sweep) for name in SWEPT}
+    tables = {name: _renamed(committed_rows(other, entries, name), plan.sweep) for name in SWEEP_TABLES}
     for start in range(0, len(wanted), _TASKS_A_COMMIT):
         ids = plan.tasks.ids.take(pa.array(wanted[start : start + _TASKS_A_COMMIT]))
         own = {name: table.filter(pc.is_in(table["task_id"], value_set=ids)) for name, table in tables.items()}

@@ -64,7 +64,7 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     Source: design section 5.
     """
     scene, _ = assets.scene(spec)
-    vehicle = assets.drawn_vehicle(spec, solution)
+    vehicle = assets.rendered_vehicle(spec, solution)
     rendered = render_solution(spec, solution, assets)
     theta, code, rendering = rendered.theta, rendered.code, rendered.rendering
     mesh = vehicle_mesh(vehicle, assets.decoder, code.float())

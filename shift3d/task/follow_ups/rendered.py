@@ -35,7 +35,7 @@ def render_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets)
     Raises: InputError for a scene or vehicle that cannot be loaded, or that differs from the plan.
     """
     theta = torch.tensor([solution[name] for name in POSE_COLUMNS], dtype=torch.float64)
-    drawn = assets.drawn_vehicle(spec, solution)
+    drawn = assets.rendered_vehicle(spec, solution)
     problem = build_problem(spec, assets, theta, None if drawn.name == spec.vehicle else drawn)
     code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
     with torch.no_grad():

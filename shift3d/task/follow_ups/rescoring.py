@@ -18,7 +18,7 @@ from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import Assets
 from shift3d.task.differences import Differences, differences
 from shift3d.task.problem import build_problem
-from shift3d.task.scoring import SCORED_NEARBY, Nearby, Scored, score_object, score_points, timed
+from shift3d.task.scoring import SCORED_NEARBY, NoisyCopyScorer, ScoredObject, score_object, score_points, timed
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -47,7 +47,7 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class Verified:
+class VerificationResult:
     """Verification results of one object. Scores are by the detector's name, and per draw for `noise` and `nearby`."""
 
     again: dict[str, float]
@@ -61,17 +61,17 @@ class Verified:
 
 
 @dataclass(frozen=True)
-class Problems:
+class VerificationProblems:
     """Problems of one scene at the sweep's accuracy and at reference accuracy, with the other detectors."""
 
     standard: AttackProblem
     reference: AttackProblem
     others: Mapping[str, Detector]
     others_reference: Mapping[str, Detector]
-    nearby: Nearby = field(default_factory=Nearby)
+    nearby: NoisyCopyScorer = field(default_factory=NoisyCopyScorer)
 
     @staticmethod
-    def of(spec: TaskSpec, assets: Assets, solution: Solution) -> Problems:
+    def of(spec: TaskSpec, assets: Assets, solution: Solution) -> VerificationProblems:
         """Build the task's problems, with a solution's vehicle at its pose.
 
         Raises: InputError: a scene or vehicle that cannot be loaded, or that differs from the plan.
@@ -81,10 +81,10 @@ class Problems:
         others, others_reference = assets.other_detectors(spec), assets.other_detectors(reference)
         theta, vehicle = solution.theta, solution.vehicle
         problem, true_problem = (build_problem(which, assets, theta, vehicle) for which in (spec, reference))
-        return Problems(problem, true_problem, others, others_reference)
+        return VerificationProblems(problem, true_problem, others, others_reference)
 
 
-def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Verified:
+def verify_object(spec: TaskSpec, solution: Solution, problems: VerificationProblems) -> VerificationResult:
     """Render and score one object in all four ways; a baseline and its solution get the same draws, by placement."""
     spent: dict[str, float] = {}
     radius_m = spec.attack.detection_radius_m
@@ -106,7 +106,7 @@ def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Ver
             for theta in _nearby(spec, solution.theta)
         ]
     found, truth = again.measurement.rendering.first_hits, true.measurement.rendering.first_hits
-    return Verified(
+    return VerificationResult(
         again=_scores(again),
         reference=_scores(true),
         noise={name: [draw[name].score for draw in noisy] for name in again.answers},
@@ -124,12 +124,12 @@ def _score(
     theta: Tensor,
     radius_m: float,
     others: Mapping[str, Detector],
-    nearby: Nearby | None = None,
-) -> Scored:
+    nearby: NoisyCopyScorer | None = None,
+) -> ScoredObject:
     return score_object(problem, code.to(problem.settings.dtype), theta, radius_m, others, nearby)
 
 
-def _scores(scored: Scored) -> dict[str, float]:
+def _scores(scored: ScoredObject) -> dict[str, float]:
     return {name: answer.score for name, answer in scored.answers.items()}
 
 

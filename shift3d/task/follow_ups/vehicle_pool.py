@@ -150,10 +150,10 @@ def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> 
     points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
     with torch.no_grad():
         proposals = detector.proposals(points, window)
-    return {crop.label: own_score(proposals, box) for crop, box in zip(crops, boxes)}
+    return {crop.label: overlap_score(proposals, box) for crop, box in zip(crops, boxes)}
 
 
-def own_score(proposals: Proposals, box: NDArray[np.float64]) -> float:
+def overlap_score(proposals: Proposals, box: NDArray[np.float64]) -> float:
     """Return the score of the best box after suppression that overlaps box (7,), network frame; 0 without one."""
     own = iou_bev(box, proposals.boxes.numpy())[0] >= OWN_IOU
     found = detections_until(proposals, box, own)

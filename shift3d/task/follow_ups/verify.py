@@ -25,7 +25,7 @@ from shift3d.store.rows_by_task import RowsByTask
 from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
-from shift3d.task.follow_ups.rescoring import Problems, Solution, Verified, verify_object
+from shift3d.task.follow_ups.rescoring import Solution, VerificationProblems, VerificationResult, verify_object
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -40,7 +40,7 @@ class VerifyAssets:
     assets: Assets
     results: Location
     _tables: dict[str, RowsByTask] = field(default_factory=dict)
-    _baselines: dict[tuple[str, bytes, bytes], Verified] = field(default_factory=dict)
+    _baselines: dict[tuple[str, bytes, bytes], VerificationResult] = field(default_factory=dict)
 
     def solutions(self, spec: TaskSpec) -> list[Solution]:
         """Return every solution of a task with its scores, the baseline first; empty if nothing could be placed.
@@ -68,7 +68,7 @@ class VerifyAssets:
         return found
 
     def _other_vehicle(self, spec: TaskSpec, row: Row) -> Vehicle | None:
-        found = self.assets.drawn_vehicle(spec, row)
+        found = self.assets.rendered_vehicle(spec, row)
         return None if found.name == spec.vehicle else found
 
     def _rows(self, name: str, task_id: str) -> list[Row]:
@@ -76,7 +76,9 @@ class VerifyAssets:
             self._tables[name] = RowsByTask(self.results / f"{name}.parquet", name)
         return self._tables[name].of(task_id)
 
-    def verified(self, spec: TaskSpec, solution: Solution, problems: Problems) -> tuple[Verified, bool]:
+    def verified(
+        self, spec: TaskSpec, solution: Solution, problems: VerificationProblems
+    ) -> tuple[VerificationResult, bool]:
         """Verify a solution. Also returns False if the result was known: tasks of one place share their baseline."""
         if solution.method != "baseline":
             return verify_object(spec, solution, problems), True
@@ -111,14 +113,14 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
     solutions = held.solutions(spec)
     if not solutions:
         return TaskResult()
-    own = Problems.of(spec, held.assets, solutions[0])
+    own = VerificationProblems.of(spec, held.assets, solutions[0])
     rows: list[Row] = []
     timings: list[Row] = []
-    baseline: Verified | None = None
+    baseline: VerificationResult | None = None
     for solution in solutions:
         problems = own
         if solution.vehicle is not None:
-            problems = replace(Problems.of(spec, held.assets, solution), nearby=own.nearby)
+            problems = replace(VerificationProblems.of(spec, held.assets, solution), nearby=own.nearby)
         verified, new = held.verified(spec, solution, problems)
         baseline = baseline or verified
         known = {"method": solution.method, "replicate": solution.replicate}
@@ -131,7 +133,9 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
     return TaskResult(timings=timings, verification=rows)
 
 
-def verified_rows(solution: Solution, verified: Verified, start: Solution, baseline: Verified) -> list[Row]:
+def verified_rows(
+    solution: Solution, verified: VerificationResult, start: Solution, baseline: VerificationResult
+) -> list[Row]:
     """Return a row per detector, without the columns of the spec. start, baseline: the task's own baseline."""
     found = asdict(verified.found)
     same: Row = {
@@ -168,7 +172,7 @@ def verified_rows(solution: Solution, verified: Verified, start: Solution, basel
     return rows
 
 
-def _cause(name: str, score: float, verified: Verified, baseline: Verified, moved: float) -> str:
+def _cause(name: str, score: float, verified: VerificationResult, baseline: VerificationResult, moved: float) -> str:
     """Explain why a score or a margin differs from the reference's."""
     if verified.again[name] != score:
         return f"not reproduced: at the sweep's own accuracy it is {verified.again[name]:.3f} now"
@@ -176,7 +180,7 @@ def _cause(name: str, score: float, verified: Verified, baseline: Verified, move
     found = of.found
     if of.unresolved or of.unresolved_reference:
         return f"{of.unresolved} of {whose} beams unresolved, {of.unresolved_reference} in the reference"
-    if not found.none_lost_or_misplaced:
+    if not found.all_hits_agree:
         lost = f"{found.missed_hits} missed, {found.false_hits} false, {found.wrong_surface} on another surface"
         return f"of {whose} {found.hits} hits {lost}"
     depth = f"depth error at most {1e3 * found.depth_error_max_m:.2g} mm"

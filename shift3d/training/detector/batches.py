@@ -20,9 +20,9 @@ from torch import Tensor
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Pillars, assign_pillars
 from shift3d.detectors.models.network import DetectorNet
+from shift3d.training.detector.crop_sampling import RandomCrops
 from shift3d.training.detector.crops import Crop
-from shift3d.training.detector.drawn_crops import RandomCrops
-from shift3d.training.detector.objective import Objective, each_field
+from shift3d.training.detector.objective import Objective, map_fields
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Example:
 
     def each(self, change: Callable[[Any], Any]) -> Example:
         """Return a copy with `change` applied to every tensor: moved to a device, or converted to an array."""
-        pillars, targets = each_field(self.pillars, change), each_field(self.targets, change)
+        pillars, targets = map_fields(self.pillars, change), map_fields(self.targets, change)
         return Example(change(self.points), pillars, self.window, targets)
 
 

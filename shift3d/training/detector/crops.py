@@ -24,7 +24,7 @@ from shift3d.training.detector_scenes import MARGIN_M, TrainingScene
 Floats = npt.NDArray[np.float32]
 STRIDE = 4
 TRIES = 6
-ANYWHERE_M = 45.0
+RANDOM_CENTRE_M = 45.0
 LINE_SPACING_DEG = (0.25, 0.6)
 
 
@@ -88,9 +88,9 @@ def random_crop(
         side = cells / 2 * grid.cell_m
         scene = pasted(scene, database, centre, side, augmentation, recipe.min_points, rng)
     near = np.hypot(scene.points[:, 0] - centre[0], scene.points[:, 1] - centre[1]) < reach
-    points = thinned(scene.points[near], scene.sensor_height_m, augmentation, rng)
+    points = drop_points(scene.points[near], scene.sensor_height_m, augmentation, rng)
     boxes = scene.boxes[np.hypot(scene.boxes[:, 0] - centre[0], scene.boxes[:, 1] - centre[1]) < reach + 4.0]
-    points, boxes = vehicles_varied(points, boxes, augmentation, rng)
+    points, boxes = augment_vehicles(points, boxes, augmentation, rng)
     points, boxes = moved(points, boxes, (angle, flip, scale), augmentation, rng)
     counts = points_in_boxes(points, boxes).sum(axis=1)
     return Crop(points, boxes, counts >= recipe.min_points, window_around(grid, turned, cells))
@@ -102,7 +102,7 @@ def _centre(scene: TrainingScene, recipe: Recipe, rng: np.random.Generator) -> n
         vehicle = vehicle_centre(scene, recipe.augmentation.range_bins_m, recipe.min_points, rng)
         if vehicle is not None:
             return _near(vehicle, recipe, rng)
-    return rng.uniform(-ANYWHERE_M, ANYWHERE_M, 2)
+    return rng.uniform(-RANDOM_CENTRE_M, RANDOM_CENTRE_M, 2)
 
 
 def _near(place: npt.NDArray[np.float64], recipe: Recipe, rng: np.random.Generator) -> npt.NDArray[np.float64]:
@@ -130,7 +130,7 @@ def vehicle_centre(
     return None
 
 
-def thinned(points: Floats, sensor_height_m: float, augmentation: Augmentation, rng: np.random.Generator) -> Floats:
+def drop_points(points: Floats, sensor_height_m: float, augmentation: Augmentation, rng: np.random.Generator) -> Floats:
     """Drop points at random, sometimes whole scan lines, and add noise along the beam."""
     keep = np.ones(len(points), dtype=bool)
     if rng.random() < 0.5:
@@ -147,7 +147,7 @@ def thinned(points: Floats, sensor_height_m: float, augmentation: Augmentation, 
     return np.asarray(points + offset / length * noise, dtype=np.float32)
 
 
-def vehicles_varied(
+def augment_vehicles(
     points: Floats, boxes: Floats, augmentation: Augmentation, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Scale and stretch each vehicle with its points about the middle of its bottom face; drop returns of some."""

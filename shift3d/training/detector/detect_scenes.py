@@ -18,7 +18,7 @@ import torch
 
 from shift3d.detectors.base import Detector
 from shift3d.errors import InputError
-from shift3d.evaluation.frames import DetectedFrame, Found, Truth
+from shift3d.evaluation.frames import DetectedFrame, FrameDetections, GroundTruth
 from shift3d.scenes.kitti.files import Calibration
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
@@ -33,7 +33,7 @@ SCORE_FLOOR = 0.01
 
 
 @dataclass(frozen=True)
-class Answer:
+class SceneDetections:
     """Detections and ground truth of a frame; milliseconds to load the scene and to detect."""
 
     frame: DetectedFrame
@@ -41,7 +41,9 @@ class Answer:
     detect_ms: float
 
 
-def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshold: float = SCORE_FLOOR) -> Answer:
+def detect_frame(
+    detector: Detector, scenes: SceneSet, name: str, score_threshold: float = SCORE_FLOOR
+) -> SceneDetections:
     """Load one scene, run the detector on its whole grid, and record ground truth and detections in the scene frame.
 
     In KITTI frames only cars count, boxes outside the camera's view are marked as unlabelled, and labels carry KITTI's
@@ -60,16 +62,16 @@ def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshol
     boxes[:, 2] += scene.ground_z_m
     view = scenes.camera_view(name) if isinstance(scenes, KittiScenes) else None
     frame = DetectedFrame(name, _truth(scenes, scene), _found(boxes, np.asarray(detections.scores), view))
-    return Answer(frame, 1e3 * (loaded - start), 1e3 * (done - loaded))
+    return SceneDetections(frame, 1e3 * (loaded - start), 1e3 * (done - loaded))
 
 
-def _found(boxes: np.ndarray, scores: np.ndarray, view: Calibration | None) -> Found:
+def _found(boxes: np.ndarray, scores: np.ndarray, view: Calibration | None) -> FrameDetections:
     if view is None:
-        return Found(boxes, scores, np.ones(len(boxes), dtype=bool), np.full(len(boxes), np.nan))
-    return Found(boxes, scores, view.in_view(boxes), view.height_px(boxes))
+        return FrameDetections(boxes, scores, np.ones(len(boxes), dtype=bool), np.full(len(boxes), np.nan))
+    return FrameDetections(boxes, scores, view.in_view(boxes), view.height_px(boxes))
 
 
-def _truth(scenes: SceneSet, scene: Scene) -> Truth:
+def _truth(scenes: SceneSet, scene: Scene) -> GroundTruth:
     labels = scene.labels
     mask = labels.mask("vehicle")
     rows = np.flatnonzero(mask)
@@ -81,7 +83,7 @@ def _truth(scenes: SceneSet, scene: Scene) -> Truth:
         difficulty = np.array([label_rows[row].difficulty for row in rows], dtype=np.int64)
     boxes = labels.of_class("vehicle").reshape(-1, 7)
     kinds = tuple(labels.kinds[row] for row in rows) if labels.kinds else ()
-    return Truth(boxes, labels.num_points[mask].astype(np.int64), counts, difficulty, names, kinds)
+    return GroundTruth(boxes, labels.num_points[mask].astype(np.int64), counts, difficulty, names, kinds)
 
 
 def detect_scenes(
@@ -90,7 +92,7 @@ def detect_scenes(
     workers: int = 1,
     score_threshold: float = SCORE_FLOOR,
     names: list[str] | None = None,
-) -> Iterator[Answer]:
+) -> Iterator[SceneDetections]:
     """Yield the result of every scene of a set, or of every scene in ``names``, in that order.
 
     open_detector, open_scenes: called once in every process; with several workers both must be picklable. Every process
@@ -112,16 +114,16 @@ def _opened(open_detector: Callable[[], Detector], open_scenes: Callable[[], Sce
     return open_detector(), open_scenes()
 
 
-def _detect(score_threshold: float, opened: tuple[Detector, SceneSet], name: str) -> Answer:
+def _detect(score_threshold: float, opened: tuple[Detector, SceneSet], name: str) -> SceneDetections:
     return detect_frame(*opened, name, score_threshold)
 
 
-def answers_of(
+def stored_or_detected(
     names: Iterable[str],
     folder: Path,
-    detect: Callable[[list[str]], Iterator[Answer]],
+    detect: Callable[[list[str]], Iterator[SceneDetections]],
     state_of: Callable[[str], str] = lambda name: "",
-) -> Iterator[Answer]:
+) -> Iterator[SceneDetections]:
     """Yield the result of every scene in order: read from ``folder`` if stored there, else detected and stored.
 
     detect: maps names of missing scenes to their results, in that order. state_of: maps a scene's name to the state of
@@ -136,10 +138,10 @@ def answers_of(
     for name in names:
         if name in left:
             answer = next(coming)
-            write_answer(_file(folder, name), answer, states[name])
+            write_scene_detections(_file(folder, name), answer, states[name])
             yield answer
         else:
-            yield read_answer(_file(folder, name))
+            yield read_scene_detections(_file(folder, name))
 
 
 def _is_kept(file: Path, state: str) -> bool:
@@ -154,8 +156,8 @@ def _file(folder: Path, name: str) -> Path:
     return folder / f"{name.replace('/', '_')}.npz"
 
 
-def write_answer(file: Path, answer: Answer, state: str = "") -> None:
-    """Write one result atomically. state: see `answers_of`. Raises InputError on a full disk."""
+def write_scene_detections(file: Path, answer: SceneDetections, state: str = "") -> None:
+    """Write one result atomically. state: see `stored_or_detected`. Raises InputError on a full disk."""
     truth, found = answer.frame.truth, answer.frame.found
     write_arrays(
         file,
@@ -172,10 +174,10 @@ def write_answer(file: Path, answer: Answer, state: str = "") -> None:
     )
 
 
-def read_answer(file: Path) -> Answer:
-    """Read a file of :func:`write_answer`, bit for bit. Raises InputError for any other file."""
+def read_scene_detections(file: Path) -> SceneDetections:
+    """Read a file of :func:`write_scene_detections`, bit for bit. Raises InputError for any other file."""
     with _readable(file) as data:
-        truth = Truth(
+        truth = GroundTruth(
             data["truth_boxes"],
             data["num_points"],
             data["counts"],
@@ -183,9 +185,9 @@ def read_answer(file: Path) -> Answer:
             tuple(str(name) for name in data["names"]),
             tuple(str(kind) for kind in data["kinds"]),
         )
-        found = Found(data["boxes"], data["scores"], data["labelled"], data["image_height_px"])
+        found = FrameDetections(data["boxes"], data["scores"], data["labelled"], data["image_height_px"])
         scene_ms, detect_ms = (float(value) for value in data["milliseconds"])
-        return Answer(DetectedFrame(str(data["scene"]), truth, found), scene_ms, detect_ms)
+        return SceneDetections(DetectedFrame(str(data["scene"]), truth, found), scene_ms, detect_ms)
 
 
 @contextmanager

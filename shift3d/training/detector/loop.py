@@ -19,8 +19,8 @@ from shift3d.errors import InputError
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import ONE_THREAD, Compute
 from shift3d.training.detector.batches import BatchMaker, Example, batches
+from shift3d.training.detector.crop_sampling import RandomCrops
 from shift3d.training.detector.crops import Crop
-from shift3d.training.detector.drawn_crops import RandomCrops
 from shift3d.training.detector.objective import batch_loss, objective_of
 from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
@@ -158,7 +158,7 @@ def train_on_scenes(
     with stop_on_signal() as stop, bar:
         for step, examples in batches(maker, range(run.done, end), compute.crop_workers):
             if step >= recipe.steps:
-                _settle(run, crops.of_statistics())
+                _freeze_backbone(run, crops.of_statistics())
             run.recent.append(_train_step(run, step, examples))
             run.done = step + 1
             run.steps_by_device[compute.name] = run.steps_by_device.get(compute.name, 0) + 1
@@ -174,11 +174,11 @@ def train_on_scenes(
             if stop.is_set() and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
     if run.done == recipe.steps == recipe.all_steps:  # no settle steps: only the statistics are computed
-        _settle(run, crops.of_statistics())
+        _freeze_backbone(run, crops.of_statistics())
     return run.net.eval().requires_grad_(True)
 
 
-def _settle(run: _Run, crops: Iterator[Crop]) -> None:
+def _freeze_backbone(run: _Run, crops: Iterator[Crop]) -> None:
     """Compute the batch norm statistics once, then freeze all but the heads: features are as at inference."""
     if run.recipe.statistics_crops and run.done == run.recipe.steps:
         chosen = list(islice(crops, run.recipe.statistics_crops))

@@ -23,7 +23,7 @@ def objective_of(recipe: Recipe) -> Objective:
     return CentreObjective(recipe) if recipe.heads == "centres" else AnchorObjective(recipe)
 
 
-def each_field(target: Any, change: Callable[[Any], Any]) -> Any:
+def map_fields(target: Any, change: Callable[[Any], Any]) -> Any:
     """Return targets with `change` applied to every field: moved to a device, or converted to an array."""
     return replace(target, **{item.name: change(getattr(target, item.name)) for item in fields(target)})
 

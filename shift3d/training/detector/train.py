@@ -19,7 +19,7 @@ from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_safetensors
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import ONE_THREAD, Compute, subnormals_as_before
+from shift3d.training.compute import ONE_THREAD, Compute, restore_subnormals
 from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.warm_start import start_file, start_state
@@ -32,7 +32,7 @@ from shift3d.vehicles.family.split import SPLIT
 TRAFFIC = "wide"  # family of the vehicles in training streets and insertions, seen kinds only
 
 
-@subnormals_as_before()
+@restore_subnormals()
 def train_detector(
     out_dir: Path,
     recipe: Recipe,

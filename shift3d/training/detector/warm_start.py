@@ -141,7 +141,7 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
         before = f"transformer.layers.{4 * block + 1}.norm_feed_forward."
         for layer in (4 * block + 2, 4 * block + 3):
             gain, offset = state[f"{before}weight"], state[f"{before}bias"]
-            state |= _adding_nothing(state, f"transformer.layers.{layer}.", gain, offset)
+            state |= _identity_layer(state, f"transformer.layers.{layer}.", gain, offset)
     columns = token
     for index in range(len(spec.dilations) + 1):
         rows = _duplicates(width if index < len(spec.dilations) else spec.out_channels)
@@ -198,7 +198,7 @@ def _norm(small: Mapping[str, Tensor], name: str, rows: Tensor) -> dict[str, Ten
     return {f"{name}.{kind}": small[f"{name}.{kind}"][rows] for kind in kinds} | {count: small[count]}
 
 
-def _adding_nothing(state: Mapping[str, Tensor], layer: str, gain: Tensor, offset: Tensor) -> dict[str, Tensor]:
+def _identity_layer(state: Mapping[str, Tensor], layer: str, gain: Tensor, offset: Tensor) -> dict[str, Tensor]:
     """Return tensors that make a layer nearly the identity on outputs of a norm with this gain and offset."""
     parts = {f"{layer}{part}.{kind}" for part in ("out", "narrow") for kind in ("weight", "bias")}
     found = {name: torch.zeros_like(state[name]) for name in parts}

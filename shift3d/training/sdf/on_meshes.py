@@ -23,18 +23,18 @@ from shift3d.store.arrays import write_arrays
 from shift3d.store.atomic import write_atomic
 from shift3d.store.user_cache import program_digest
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import Compute, subnormals_as_before
+from shift3d.training.compute import Compute, restore_subnormals
 from shift3d.training.processes import each
 from shift3d.training.progress import Report
 from shift3d.training.provenance import versions
 from shift3d.training.sdf.export import scaled_decoder
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
-from shift3d.training.sdf_shapes import ShapeSamples, in_random_order
+from shift3d.training.sdf_shapes import ShapeSamples, sample_shuffled
 from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.picture import side_by_side
-from shift3d.vehicles.vehicle_set import FACTS_FILE, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
+from shift3d.vehicles.vehicle_set import FACTS_FILE, VEHICLES_FILE, FittedVehicle, decode_and_measure, write_vehicle_set
 
 STEPS = 5_000
 POINTS_A_STEP = 2_750
@@ -94,7 +94,7 @@ def _sampled(task: tuple[MeshFile, MeshFrame, int, int]) -> _Part | str:
         vehicle = read_mesh_vehicle(file, frame)
     except InputError as error:
         return str(error)
-    return (*in_random_order(vehicle.mesh, samples, "mesh", seed, vehicle.name), vehicle.facts())
+    return (*sample_shuffled(vehicle.mesh, samples, "mesh", seed, vehicle.name), vehicle.facts())
 
 
 def _keep(kept: Path, parts: list[_Part | str], files: list[MeshFile], hashes: list[str]) -> None:
@@ -132,7 +132,7 @@ def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
     )
 
 
-@subnormals_as_before()
+@restore_subnormals()
 def train_on_meshes(
     path: Path | str, frame: MeshFrame, out: Path, compute: Compute, steps: int = STEPS, report: Report | None = None
 ) -> list[float]:
@@ -212,7 +212,7 @@ def _measured(frame: MeshFrame, pictures: Path, decoder: Decoder, row: _Row) -> 
     facts, code, scale_m = row
     try:
         vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
-        done, decoded = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
+        done, decoded = decode_and_measure(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
     except InputError as error:
         return str(error)
     write_atomic(pictures / f"{vehicle.name}.png", side_by_side(vehicle.mesh, decoded))

@@ -23,7 +23,7 @@ from shift3d.sdf.decoder import Architecture, Decoder, load_decoder, parameters_
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import derive_seed, generator
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.compute import Compute, subnormals_as_before
+from shift3d.training.compute import Compute, restore_subnormals
 from shift3d.training.progress import Report
 from shift3d.training.provenance import versions
 from shift3d.training.sdf.export import CODE_NORM
@@ -31,8 +31,8 @@ from shift3d.training.sdf.loop import DecoderRun, run_to_end
 from shift3d.training.sdf.wide_shapes import WideShapes, in_frame, wide_shapes, wide_specs
 from shift3d.vehicles.family.split import SPLIT
 from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_vehicle
-from shift3d.vehicles.parameter_box import BoxOfParameters
-from shift3d.vehicles.vehicle_set import KnownCodes, fitted, write_vehicle_set
+from shift3d.vehicles.parameter_box import ParameterBox
+from shift3d.vehicles.vehicle_set import TrainingVehicles, decode_and_measure, write_vehicle_set
 
 CHECKPOINT = "parametric.pt"
 LEAST_MEMBERS = 8  # fewest training members of a kind that gives a vehicle of the set
@@ -118,8 +118,8 @@ def train_parametric(
     return file
 
 
-@subnormals_as_before()
-def train_wide(
+@restore_subnormals()
+def train_wide_family(
     out: Path, compute: Compute, count: int | None = None, steps: int | None = None, report: Report | None = None
 ) -> list[float]:
     """Sample the wide family, train, and write the vehicle set to `out`. Returns its Chamfer distances in cm.
@@ -157,16 +157,16 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
         mesh = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M))
         mesh.vertices *= frame.scale_m
         name = kind.replace("+", "_with_")
-        vehicles.append(fitted(name, spec.body_type, decoder, codes[index].copy(), frame.scale_m, mesh)[0])
+        vehicles.append(decode_and_measure(name, spec.body_type, decoder, codes[index].copy(), frame.scale_m, mesh)[0])
         boxes[name] = _box(shapes, basis, index, members)
-    known = KnownCodes(
+    known = TrainingVehicles(
         tuple(spec.kind for spec in shapes.specs),
         codes,
         np.array([shapes.frames[spec.kind].scale_m for spec in shapes.specs], np.float32),
         np.array([spec.size_m for spec in shapes.specs], np.float32),
     )
     chamfer_cm = {vehicle.name: 100.0 * vehicle.chamfer_m for vehicle in vehicles}
-    unseen = generalisation_cm(decoder, basis, shapes)
+    unseen = unseen_chamfer_cm(decoder, basis, shapes)
     provenance = {
         "model": "DeepSDF decoder, codes a linear map of the wide family's parameters",
         "recipe": state["recipe"],
@@ -183,7 +183,7 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
     return chamfer_cm
 
 
-def generalisation_cm(decoder: Decoder, basis: NDArray[np.float32], shapes: WideShapes) -> dict[str, float]:
+def unseen_chamfer_cm(decoder: Decoder, basis: NDArray[np.float32], shapes: WideShapes) -> dict[str, float]:
     """Compute Chamfer distances in cm of untrained vehicles, by index and kind: their codes need no fit."""
     found = {}
     rng = generator("unseen wide vehicles")
@@ -215,7 +215,7 @@ def _typical(features: NDArray[np.float32], members: NDArray[np.int64]) -> int:
     return int(members[np.square(features - np.median(features, axis=0)).sum(axis=1).argmin()])
 
 
-def _box(shapes: WideShapes, basis: NDArray[np.float32], index: int, members: NDArray[np.int64]) -> BoxOfParameters:
+def _box(shapes: WideShapes, basis: NDArray[np.float32], index: int, members: NDArray[np.int64]) -> ParameterBox:
     """Return the parameters in which a vehicle's kind varies, and their ranges."""
     of_kind, own = shapes.features[members].astype(np.float64), shapes.features[index].astype(np.float64)
     low = np.minimum(np.quantile(of_kind, TRIMMED, axis=0), own)
@@ -226,4 +226,4 @@ def _box(shapes: WideShapes, basis: NDArray[np.float32], index: int, members: ND
     names = tuple(shapes.table.names[number] for number in open_ones)
     values = (own, low, high)
     start, low, high = (np.asarray(value[open_ones], np.float32).astype(np.float64) for value in values)
-    return BoxOfParameters(basis[open_ones], start, low, high, names)
+    return ParameterBox(basis[open_ones], start, low, high, names)

@@ -10,7 +10,7 @@ import numpy as np
 from shift3d.vehicles.family.parts import damage
 from shift3d.vehicles.family.parts import roof as roof_parts
 from shift3d.vehicles.family.parts import tail as tail_parts
-from shift3d.vehicles.family.parts.part import Part, roof_half_m, roof_z_m, side_half_m, x_of
+from shift3d.vehicles.family.parts.part import Part, roof_half_width_m, roof_z_m, side_half_m, x_behind_nose
 from shift3d.vehicles.family.spec import VehicleSpec
 
 Draw = Callable[[VehicleSpec, np.random.Generator], tuple[VehicleSpec, tuple[Part, ...]]]
@@ -41,7 +41,7 @@ def _rack(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tupl
     span = car.roof_rear_s_m - car.roof_front_s_m - 0.10
     length = min(rng.uniform(1.2, 2.1), span)
     start = car.roof_front_s_m + 0.05 + rng.uniform(0.0, 1.0) * (span - length)
-    half = min(rng.uniform(0.50, 0.64), roof_half_m(car) + 0.05)
+    half = min(rng.uniform(0.50, 0.64), roof_half_width_m(car) + 0.05)
     rise, rim = rng.uniform(0.08, 0.14), rng.uniform(0.07, 0.12)
     return car, (roof_parts.RoofRack(start, start + length, half, rise, rim, int(rng.integers(5, 9))),)
 
@@ -50,7 +50,7 @@ def _ladder(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tu
     # Makers' data sheets: closed two-section ladders are 2.2 to 3.6 m long and 35 to 45 cm wide.
     length = min(rng.uniform(2.2, 3.6), car.roof_rear_s_m - car.roof_front_s_m + 0.6)
     end = car.roof_rear_s_m + rng.uniform(-0.2, 0.1)
-    y = rng.uniform(-1.0, 1.0) * (roof_half_m(car) - 0.30)
+    y = rng.uniform(-1.0, 1.0) * (roof_half_width_m(car) - 0.30)
     return car, (roof_parts.Ladder(end - length, end, y, rng.uniform(0.175, 0.225), rng.uniform(0.12, 0.20)),)
 
 
@@ -59,7 +59,7 @@ def _roof_box(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, 
     length, width = rng.uniform(1.4, 2.35), rng.uniform(0.58, 0.95)
     length = min(length, 0.46 * car.length_m)
     middle = 0.5 * (car.roof_front_s_m + car.roof_rear_s_m) - rng.uniform(0.0, 0.15)
-    room = max(roof_half_m(car) - width / 2 - 0.05, 0.0)
+    room = max(roof_half_width_m(car) - width / 2 - 0.05, 0.0)
     part = roof_parts.RoofBox(
         from_s_m=middle - length / 2, length_m=length, width_m=width, box_height_m=rng.uniform(0.33, 0.47),
         rise_m=rng.uniform(0.06, 0.10), y_m=room * rng.uniform(-1.0, 1.0), taper_m=rng.uniform(0.35, 0.65),
@@ -120,12 +120,12 @@ def _dented(car: VehicleSpec, rng: np.random.Generator) -> tuple[VehicleSpec, tu
         s = rng.uniform(0.32, 0.78) * car.length_m
         z = rng.uniform(0.55, 0.95) * car.cowl_z_m
         where = float(rng.choice((-1.0, 1.0)))
-        balls.append((x_of(car, s), where * (side_half_m(car, z) - depth + radius), z, radius))
+        balls.append((x_behind_nose(car, s), where * (side_half_m(car, z) - depth + radius), z, radius))
     if car.body_type not in ("convertible",):
         radius, depth = rng.uniform(0.6, 0.9), rng.uniform(0.08, 0.14)
         s = car.roof_rear_s_m if rng.random() < 0.5 else car.roof_front_s_m
         top = roof_z_m(car, s) - depth + radius
-        balls.append((x_of(car, s), side * 0.8 * roof_half_m(car), top, radius))
+        balls.append((x_behind_nose(car, s), side * 0.8 * roof_half_width_m(car), top, radius))
     return car, (damage.Dents(tuple((float(x), float(y), float(z), float(r)) for x, y, z, r in balls)),)
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.vehicles.family.csg import Bounds, add, block, cut, disc, pair, rod, thick, wedge
-from shift3d.vehicles.family.parts.part import x_of
+from shift3d.vehicles.family.csg import Bounds, add, block, cut, disc, drawable_radius_m, pair, rod, wedge
+from shift3d.vehicles.family.parts.part import x_behind_nose
 from shift3d.vehicles.family.solid import Grid
 from shift3d.vehicles.family.spec import VehicleSpec
 
@@ -27,15 +27,15 @@ class BoxBody:
 
     def bounds(self, car: VehicleSpec) -> Bounds:
         half = self.width_m / 2
-        return (-car.length_m / 2, -half, self.floor_z_m), (x_of(car, self.from_s_m), half, self.top_z_m)
+        return (-car.length_m / 2, -half, self.floor_z_m), (x_behind_nose(car, self.from_s_m), half, self.top_z_m)
 
     def apply(self, grid: Grid, car: VehicleSpec, field: Array) -> None:
         low, high = self.bounds(car)
         whole = block(low, high, self.edge_m)
-        axle = (x_of(car, car.front_axle_s_m + car.wheelbase_m), high[1], car.wheel_radius_m)
+        axle = (x_behind_nose(car, car.front_axle_s_m + car.wheelbase_m), high[1], car.wheel_radius_m)
         arch = pair(disc(axle, car.wheel_radius_m + car.arch_gap_m, 0.50, 0.02, axis=1))
         add(grid, field, (low, high), lambda x, y, z: np.maximum(whole(x, y, z), -arch(x, y, z)))
-        spine = (x_of(car, car.roof_rear_s_m) + 0.2, 0.35, self.floor_z_m + 0.5)
+        spine = (x_behind_nose(car, car.roof_rear_s_m) + 0.2, 0.35, self.floor_z_m + 0.5)
         start = (high[0] - 0.2, -0.35, self.floor_z_m - 0.1)
         add(grid, field, (start, spine), block(start, spine, 0.05))
 
@@ -50,8 +50,8 @@ class Alcove:
 
     def bounds(self, car: VehicleSpec) -> Bounds:
         half = self.box.width_m / 2
-        low = (x_of(car, self.box.from_s_m), -half, car.height_m - 0.15)
-        return low, (x_of(car, self.from_s_m), half, self.box.top_z_m)
+        low = (x_behind_nose(car, self.box.from_s_m), -half, car.height_m - 0.15)
+        return low, (x_behind_nose(car, self.from_s_m), half, self.box.top_z_m)
 
     def apply(self, grid: Grid, car: VehicleSpec, field: Array) -> None:
         (rear, low_y, floor), (front, half, top) = self.bounds(car)
@@ -64,7 +64,7 @@ class Alcove:
         sill, depth = car.cowl_z_m + 0.35, 0.05
         start, end = self.box.from_s_m, car.length_m
         for share, length in ((0.22, 0.95), (0.72, 0.70)):
-            x = x_of(car, start + share * (end - start))
+            x = x_behind_nose(car, start + share * (end - start))
             low, high = (x - length / 2, half - depth, sill), (x + length / 2, half + 0.2, sill + 0.52)
             bounds = ((low[0], -high[1], low[2]), high)
             cut(grid, field, bounds, pair(block(low, high, 0.03)))
@@ -101,19 +101,19 @@ class Trailer:
             wheel = disc(centre, self.wheel_radius_m, tyre / 2, 0.04, axis=1)
             add(grid, field, everything, pair(wheel))
             ends = ((centre[0], -centre[1], centre[2]), centre)
-            add(grid, field, everything, rod(*ends, thick(grid, 0.04)))
+            add(grid, field, everything, rod(*ends, drawable_radius_m(grid, 0.04)))
             hanger = ((centre[0], track - 0.35, centre[2]), (centre[0], track - 0.35, self.floor_m + 0.1))
-            add(grid, field, everything, pair(rod(*hanger, thick(grid, 0.05))))
+            add(grid, field, everything, pair(rod(*hanger, drawable_radius_m(grid, 0.05))))
             top = 2 * self.wheel_radius_m + 0.10
             low = (centre[0] - self.wheel_radius_m - 0.1, half - tyre - 0.08, top - 0.05)
             mudguard = block(low, (centre[0] + self.wheel_radius_m + 0.1, half, top + 0.02), 0.015)
             add(grid, field, everything, pair(mudguard))
         coupling, bar_z = self.length_m / 2, self.floor_m - 0.02
-        tube = thick(grid, 0.04)
+        tube = drawable_radius_m(grid, 0.04)
         for y in (-0.45, 0.45):
             add(grid, field, everything, rod((front - 0.4, y, bar_z), (coupling - 0.3, 0.0, bar_z), tube))
         add(grid, field, everything, rod((coupling - 0.5, 0.0, bar_z), (coupling - tube, 0.0, bar_z), tube))
         jockey = coupling - 0.35
-        add(grid, field, everything, rod((jockey, 0.0, 0.2), (jockey, 0.0, bar_z + 0.3), thick(grid, 0.03)))
+        add(grid, field, everything, rod((jockey, 0.0, 0.2), (jockey, 0.0, bar_z + 0.3), drawable_radius_m(grid, 0.03)))
         add(grid, field, everything, disc((jockey, 0.0, 0.10), 0.10, max(0.03, tube), 0.01, axis=1))
         return field

@@ -21,7 +21,7 @@ _THINNEST = 0.75
 """Radius, in grid steps, of the thinnest rod that no grid misses: slightly over half the diagonal of a cell's face."""
 
 
-def thick(grid: Grid, radius_m: float) -> float:
+def drawable_radius_m(grid: Grid, radius_m: float) -> float:
     """Return `radius_m`, but at least the radius of the thinnest rod that the grid resolves."""
     return max(radius_m, _THINNEST * grid.step_m)
 

@@ -66,7 +66,7 @@ def polygon_field(grid: Grid, spec: VehicleSpec, polygon: list[tuple[float, floa
     return np.asarray(gaussian_filter(field, blur_m / grid.step_m, mode="nearest"), np.float32)
 
 
-def bowed(grid: Grid, spec: VehicleSpec, field: Array) -> Array:
+def spread_with_plan_curvature(grid: Grid, spec: VehicleSpec, field: Array) -> Array:
     """Spread a side-view field (A, C) over y to (A, B, C), shorter towards the sides: noses and glass are curved."""
     half = spec.length_m / 2
     t = np.minimum(grid.y / (spec.width_m / 2), 1.1) ** 2
@@ -104,7 +104,7 @@ def prism(grid: Grid, side_field: Array, y_from: float, y_to: float, round_m: fl
 def body_field(grid: Grid, spec: VehicleSpec) -> Array:
     """Build the body without wheels (A, B, C): lower body and glasshouse, or an open cabin or bed."""
     lower = smooth_max(
-        bowed(grid, spec, polygon_field(grid, spec, profiles.lower_body(spec), 0.03)),
+        spread_with_plan_curvature(grid, spec, polygon_field(grid, spec, profiles.lower_body(spec), 0.03)),
         sides(grid, spec, profiles.lower_half_width(spec, grid.z)),
         spec.edge_radius_m,
     )
@@ -112,7 +112,9 @@ def body_field(grid: Grid, spec: VehicleSpec) -> Array:
     if spec.body_type == "convertible":
         return _open_cabin(grid, spec, lower, flanks)
     cabin = smooth_max(
-        bowed(grid, spec, polygon_field(grid, spec, profiles.glasshouse(spec), 0.03)), flanks, 1.2 * spec.edge_radius_m
+        spread_with_plan_curvature(grid, spec, polygon_field(grid, spec, profiles.glasshouse(spec), 0.03)),
+        flanks,
+        1.2 * spec.edge_radius_m,
     )
     body = smooth_min(lower, cabin, 0.05)
     if spec.body_type == "pickup":
@@ -128,7 +130,7 @@ def _open_cabin(grid: Grid, spec: VehicleSpec, lower: Array, flanks: Array) -> A
     hollow = polygon_field(grid, spec, profiles.cabin_cavity(spec), 0.03)
     cavity = prism(grid, hollow, -1.0, inner, 0.10)
     body = smooth_max(lower, -cavity, 0.05)
-    screen = bowed(grid, spec, polygon_field(grid, spec, profiles.windshield_frame(spec), 0.015))
+    screen = spread_with_plan_curvature(grid, spec, polygon_field(grid, spec, profiles.windshield_frame(spec), 0.015))
     body = smooth_min(body, smooth_max(screen, flanks, 0.06), 0.04)
     for polygon, y_from, y_to in profiles.seats(spec):
         body = smooth_min(body, prism(grid, polygon_field(grid, spec, polygon, 0.02), y_from, y_to, 0.08), 0.03)
@@ -136,7 +138,7 @@ def _open_cabin(grid: Grid, spec: VehicleSpec, lower: Array, flanks: Array) -> A
 
 
 def _open_bed(grid: Grid, spec: VehicleSpec, body: Array) -> Array:
-    bed = bowed(grid, spec, polygon_field(grid, spec, profiles.bed(spec), 0.02))
+    bed = spread_with_plan_curvature(grid, spec, polygon_field(grid, spec, profiles.bed(spec), 0.02))
     walls = sides(grid, spec, profiles.lower_half_width(spec, grid.z) - np.float32(0.11))
     return smooth_max(body, -smooth_max(bed, walls, 0.12), 0.04)
 

@@ -9,7 +9,7 @@ import torch
 from attack_by_hand import CODE, THETA, small_problem
 
 from shift3d.accuracy_time.gradient import attack_step, cosine, norm_ratio
-from shift3d.accuracy_time.truth import descended_code
+from shift3d.accuracy_time.truth import attacked_code
 from shift3d.attack.problem import measure
 
 
@@ -54,15 +54,15 @@ def test_a_vehicle_that_no_beam_meets_has_the_gradient_zero() -> None:
 
 def test_the_displaced_shape_has_a_lower_loss() -> None:
     problem = small_problem()
-    moved = descended_code(problem, lambda_=0.0, alpha=0.02, steps=5)
+    moved = attacked_code(problem, lambda_=0.0, alpha=0.02, steps=5)
     before, after = (attack_step(problem, code, THETA, 8.0).loss for code in (CODE, moved))
     assert after < before and moved.dtype == torch.float64
-    assert torch.equal(descended_code(problem, 1.0, 0.02, 0), CODE)
+    assert torch.equal(attacked_code(problem, 1.0, 0.02, 0), CODE)
 
 
 def test_a_heavy_penalty_keeps_the_displaced_shape_near() -> None:
     problem = small_problem()
-    far, near = (descended_code(problem, weight, 0.02, 5) for weight in (0.0, 20.0))
+    far, near = (attacked_code(problem, weight, 0.02, 5) for weight in (0.0, 20.0))
     assert float((near - CODE).norm()) < float((far - CODE).norm())
 
 

@@ -13,7 +13,7 @@ from attack_by_hand import CODE, FRAME, field_of
 from toy_detector import WaveDetector
 
 from shift3d.accuracy_time.cases import Case, place_case
-from shift3d.accuracy_time.measure import CaseInstrument
+from shift3d.accuracy_time.measure import CaseMeasurer
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.truth import Truth, make_truth
 from shift3d.errors import InputError
@@ -104,11 +104,11 @@ def truth(case: Case, assets: Any) -> Truth:
 
 
 @pytest.fixture(scope="module")
-def instrument(case: Case, assets: Any, truth: Truth) -> CaseInstrument:
-    return CaseInstrument(case, assets, truth, REFERENCE, warm_steps=2, slow_s=30.0)
+def instrument(case: Case, assets: Any, truth: Truth) -> CaseMeasurer:
+    return CaseMeasurer(case, assets, truth, REFERENCE, warm_steps=2, slow_s=30.0)
 
 
-def test_the_reference_has_no_error_against_itself(instrument: CaseInstrument, truth: Truth) -> None:
+def test_the_reference_has_no_error_against_itself(instrument: CaseMeasurer, truth: Truth) -> None:
     found = instrument.look(dataclasses.replace(REFERENCE, name="again"))
     assert found["hits"] == len(truth.hits["start"].index) > 50
     assert not any(found[name] for name in ("missed", "wrong", "false", "unresolved"))
@@ -125,7 +125,7 @@ def test_the_displaced_shape_is_another_one(truth: Truth) -> None:
     assert bool((start.chord_m >= 0).all()) and int(start.thick.sum()) > 0.9 * len(start.index)
 
 
-def test_a_coarser_tolerance_has_larger_depth_errors_and_residuals(instrument: CaseInstrument) -> None:
+def test_a_coarser_tolerance_has_larger_depth_errors_and_residuals(instrument: CaseMeasurer) -> None:
     fine, coarse = (
         instrument.look(setting("standard", f"to {to}", {"tolerance_m": to, "dtype": "float64"})) for to in (1e-7, 1e-3)
     )
@@ -134,7 +134,7 @@ def test_a_coarser_tolerance_has_larger_depth_errors_and_residuals(instrument: C
     assert fine["evaluations"] > coarse["evaluations"]
 
 
-def test_a_blind_step_misses_hits_and_its_gradient_points_elsewhere(instrument: CaseInstrument) -> None:
+def test_a_blind_step_misses_hits_and_its_gradient_points_elsewhere(instrument: CaseMeasurer) -> None:
     found = instrument.look(setting("standard", "steps of 2 m", {"solver": "plain_sphere_tracing", "step_m": 2.0}))
     assert found["missed"] + found["wrong"] > 0
     assert min(found["cosines"]) < 0.9999
@@ -142,7 +142,7 @@ def test_a_blind_step_misses_hits_and_its_gradient_points_elsewhere(instrument: 
 
 @pytest.mark.parametrize("attack", ["shape", "pose"])
 def test_a_warm_rendering_finds_the_same_and_takes_the_gradient_of_its_attack(
-    instrument: CaseInstrument, attack: str
+    instrument: CaseMeasurer, attack: str
 ) -> None:
     # An attack on the pose keeps the shape, and so its SDF grid; one on the shape has the previous rendering alone.
     chosen = setting("standard", f"warm {attack}", {"dtype": "float64"}, warm=attack, grid=attack == "pose")
@@ -153,7 +153,7 @@ def test_a_warm_rendering_finds_the_same_and_takes_the_gradient_of_its_attack(
     assert found["evaluations"] < cold["evaluations"]
 
 
-def test_an_sdf_grid_saves_evaluations_and_loses_nothing(instrument: CaseInstrument) -> None:
+def test_an_sdf_grid_saves_evaluations_and_loses_nothing(instrument: CaseMeasurer) -> None:
     chosen = setting("standard", "no grid", {"dtype": "float64"})
     plain, mapped = (instrument.look(dataclasses.replace(chosen, grid=grid)) for grid in (False, True))
     assert mapped["missed"] + mapped["wrong"] + mapped["false"] == 0
@@ -161,12 +161,12 @@ def test_an_sdf_grid_saves_evaluations_and_loses_nothing(instrument: CaseInstrum
 
 
 def test_what_is_slow_is_not_rendered_twice(case: Case, assets: Any, truth: Truth) -> None:
-    never = CaseInstrument(case, assets, truth, REFERENCE, warm_steps=1, slow_s=0.0)
+    never = CaseMeasurer(case, assets, truth, REFERENCE, warm_steps=1, slow_s=0.0)
     found = never.look(setting("standard", "slow", {"dtype": "float64"}))
     assert found["hits"] == len(truth.hits["start"].index) and found["missed"] == 0
 
 
-def test_times_are_of_whole_renderings_and_steps(instrument: CaseInstrument) -> None:
+def test_times_are_of_whole_renderings_and_steps(instrument: CaseMeasurer) -> None:
     chosen = setting("standard", "timed")
     assert 0 < instrument.sample(chosen) < 60_000
     step = instrument.step(chosen)
@@ -181,7 +181,7 @@ def test_a_distance_that_no_scene_has_room_at_is_said(assets: Any) -> None:
 
 @pytest.mark.parametrize("variable", ["shape", "pose"])
 def test_a_cold_rendering_prepares_the_gradient_that_a_warm_one_prepares(
-    instrument: CaseInstrument, variable: str
+    instrument: CaseMeasurer, variable: str
 ) -> None:
     chosen = setting("standard", f"cold, {variable}", {"dtype": "float64"}, gradient=variable)
     assert len(instrument.look(chosen)["cosines"]) == 1
@@ -190,6 +190,6 @@ def test_a_cold_rendering_prepares_the_gradient_that_a_warm_one_prepares(
     assert chosen.rendering_key != plain.rendering_key != dataclasses.replace(chosen, warm=variable).rendering_key
 
 
-def test_attacks_end_with_a_score_of_the_shape_and_one_of_the_pose(instrument: CaseInstrument) -> None:
+def test_attacks_end_with_a_score_of_the_shape_and_one_of_the_pose(instrument: CaseMeasurer) -> None:
     scores = instrument.attack(setting("standard", "attacked", attack_steps=2))["scores"]
     assert len(scores) == 2 and all(0.0 <= score <= 1.0 for score in scores)

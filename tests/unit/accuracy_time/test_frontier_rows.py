@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 from frontier_settings_by_hand import look, outcome, setting
 
-from shift3d.accuracy_time.rows import MeasuredCase, frontier_rows
+from shift3d.accuracy_time.rows import CaseResults, frontier_rows
 from shift3d.accuracy_time.run import CaseResult
 from shift3d.store.frontier_table import frontier_table
 
@@ -21,7 +21,7 @@ def result(samples_ms: tuple[float, ...] = (10.0,), displaced: object = None, **
 
 
 def row_of(*results: CaseResult) -> dict[str, object]:
-    cases = [MeasuredCase("street", 500, {"standard": found}) for found in results]
+    cases = [CaseResults("street", 500, {"standard": found}) for found in results]
     (row,) = frontier_rows([STANDARD], cases)
     return row
 
@@ -56,9 +56,9 @@ def test_changes_of_the_score_cancel_in_the_auc_and_not_in_the_score() -> None:
 
 
 def test_ratios_are_to_the_preset_paper_of_the_same_scenes_and_null_without_it() -> None:
-    def case(scenes: str, paper_ms: float) -> MeasuredCase:
+    def case(scenes: str, paper_ms: float) -> CaseResults:
         results = {"standard": result((10.0,)), "paper": result((paper_ms,), render_ms=paper_ms)}
-        return MeasuredCase(scenes, 500, results)
+        return CaseResults(scenes, 500, results)
 
     rows = frontier_rows([STANDARD, PAPER], [case("street", 4000.0), case("kitti", 6000.0)])
     assert [(row["scenes"], row["setting"], row["ratio_to_paper"]) for row in rows] == [
@@ -77,7 +77,7 @@ def test_ratios_are_to_the_preset_paper_of_the_same_scenes_and_null_without_it()
 def test_ratios_name_their_paper_as_published_or_on_the_chord_alone() -> None:
     chord = setting("chord", "paper", renderer={"sphere_chord_only": True}, displaced=False)
     results = {"standard": result((10.0,)), "paper": result((4000.0,)), "chord": result((1000.0,))}
-    rows = frontier_rows([STANDARD, PAPER, chord], [MeasuredCase("street", 500, results)])
+    rows = frontier_rows([STANDARD, PAPER, chord], [CaseResults("street", 500, results)])
     assert [row["ratio_to_paper"] for row in rows] == [400.0, 1.0, 4.0]
     assert [row["ratio_to_paper_chord"] for row in rows] == [100.0, 0.25, 1.0]
     assert row_of(result())["ratio_to_paper_chord"] is None
@@ -90,7 +90,7 @@ def test_a_row_says_under_which_conditions_it_was_measured() -> None:
         setting("warm", warm="shape"),
     ]
     results = {each.name: result() for each in chosen}
-    rows = frontier_rows(chosen, [MeasuredCase("street", 500, results)])
+    rows = frontier_rows(chosen, [CaseResults("street", 500, results)])
     assert [(row["start"], row["grid"], row["gradient"]) for row in rows] == [
         ("cold", False, "no"),
         ("cold", True, "pose"),

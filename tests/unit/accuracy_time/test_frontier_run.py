@@ -8,11 +8,11 @@ import pytest
 from frontier_settings_by_hand import FakeInstrument, StoppedError, setting
 
 from shift3d.accuracy_time.journal import Journal
-from shift3d.accuracy_time.rows import MeasuredCase, frontier_rows
-from shift3d.accuracy_time.run import Repeats, expected_seconds, measure_case
+from shift3d.accuracy_time.rows import CaseResults, frontier_rows
+from shift3d.accuracy_time.run import RepeatLimits, expected_seconds, measure_case
 from shift3d.store.frontier_table import frontier_table
 
-REPEATS = Repeats(most=4, seconds=10.0, slow_s=30.0)
+REPEATS = RepeatLimits(most=4, seconds=10.0, slow_s=30.0)
 SETTINGS = [
     setting("standard", preset="standard", steps=3),
     setting("paper", "paper", preset="paper", crop_m=None, displaced=False),
@@ -24,7 +24,7 @@ SETTINGS = [
 
 def rows_of(journal: Path, instrument: FakeInstrument) -> list[dict[str, object]]:
     results = measure_case(SETTINGS, instrument, Journal(journal), REPEATS)
-    return frontier_rows(SETTINGS, [MeasuredCase("street", 1000, results)])
+    return frontier_rows(SETTINGS, [CaseResults("street", 1000, results)])
 
 
 def test_an_interrupted_run_taken_up_again_gives_the_same_rows_and_repeats_nothing(tmp_path: Path) -> None:

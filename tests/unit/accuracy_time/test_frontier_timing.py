@@ -10,16 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shift3d.accuracy_time.timing import machine, milliseconds, quartiles, turns, wanted_samples
+from shift3d.accuracy_time.timing import interleaved_samples, machine, milliseconds, num_further_timings, quartiles
 
 
 def test_settings_take_turns_and_every_second_round_runs_backwards() -> None:
-    assert list(turns({"a": 2, "b": 2, "c": 2})) == [("a", 0), ("b", 0), ("c", 0), ("c", 1), ("b", 1), ("a", 1)]
+    assert list(interleaved_samples({"a": 2, "b": 2, "c": 2})) == [
+        ("a", 0),
+        ("b", 0),
+        ("c", 0),
+        ("c", 1),
+        ("b", 1),
+        ("a", 1),
+    ]
 
 
 @given(wanted=st.dictionaries(st.text(min_size=1, max_size=3), st.integers(0, 12), max_size=6))
 def test_everybody_gets_what_it_wants_in_order_and_spread_over_the_run(wanted: dict[str, int]) -> None:
-    order = list(turns(wanted))
+    order = list(interleaved_samples(wanted))
     rounds = max(wanted.values(), default=0)
     for name, count in wanted.items():
         mine = [number for found, number in order if found == name]
@@ -34,7 +41,7 @@ def test_everybody_gets_what_it_wants_in_order_and_spread_over_the_run(wanted: d
 def test_drift_of_the_machine_hits_all_alike() -> None:
     # A machine that takes one unit longer with every call: means of what took turns differ by less than a round.
     spent: dict[str, list[int]] = {"a": [], "b": [], "c": []}
-    for clock, (name, _) in enumerate(turns(dict.fromkeys(spent, 6))):
+    for clock, (name, _) in enumerate(interleaved_samples(dict.fromkeys(spent, 6))):
         spent[name].append(clock)
     means = [sum(values) / len(values) for values in spent.values()]
     assert max(means) - min(means) < 1e-9
@@ -45,7 +52,7 @@ def test_drift_of_the_machine_hits_all_alike() -> None:
     [(1.0, 7), (400.0, 7), (1000.0, 3), (2900.0, 1), (29_000.0, 1), (31_000.0, 0)],
 )
 def test_slow_ones_are_timed_less_often_and_very_slow_ones_not_again(first_ms: float, expected: int) -> None:
-    assert wanted_samples(first_ms, most=7, seconds=3.0, slow_s=30.0) == expected
+    assert num_further_timings(first_ms, most=7, seconds=3.0, slow_s=30.0) == expected
 
 
 def test_no_garbage_is_collected_inside_and_the_collector_comes_back() -> None:

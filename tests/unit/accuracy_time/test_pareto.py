@@ -8,11 +8,11 @@ import pytest
 from frontier_by_hand import frontier_row, with_depth
 
 from shift3d.accuracy_time.pareto import (
-    dominators,
-    drawable,
+    dominating_rows,
     effective_error_m,
     knee,
-    misplaced,
+    log_axis_errors,
+    misplaced_share,
     pareto_flags,
     warm_starts,
 )
@@ -30,7 +30,7 @@ def test_the_error_by_hand() -> None:
         depth_p50_m=0.002, depth_p99_m=0.01, depth_max_m=0.5, missed_hits=0.01, wrong_surface=0.02, false_hits=0.04
     )
     assert effective_error_m(one) == pytest.approx([0.001 + 0.0049 + 0.005 + 0.07])
-    assert misplaced(one) == pytest.approx([0.03])
+    assert misplaced_share(one) == pytest.approx([0.03])
     assert effective_error_m(columns()) == [0.0]
 
 
@@ -63,29 +63,29 @@ def test_dominated_rows_and_by_whom() -> None:
     time = [1.0, 2.0, 3.0, 4.0, 2.5, 5.0]
     error = [9.0, 5.0, 5.0, 1.0, 6.0, 7.0]
     # c has b's error and takes longer; e is worse than b in both; f is worse than b, c, d and e: b is the fastest.
-    assert dominators(time, error).tolist() == [-1, -1, 1, -1, 1, 1]
+    assert dominating_rows(time, error).tolist() == [-1, -1, 1, -1, 1, 1]
 
 
 def test_of_several_dominators_the_fastest_that_is_at_least_as_accurate_then_the_most_accurate() -> None:
-    assert dominators([1, 2, 2, 3], [8, 4, 3, 4]).tolist() == [-1, 2, -1, 2]
-    assert dominators([2, 2, 3], [3, 3, 4]).tolist() == [-1, -1, 0]
+    assert dominating_rows([1, 2, 2, 3], [8, 4, 3, 4]).tolist() == [-1, 2, -1, 2]
+    assert dominating_rows([2, 2, 3], [3, 3, 4]).tolist() == [-1, -1, 0]
 
 
 def test_ties_are_on_the_front_together_or_behind_it_together() -> None:
-    assert dominators([1, 1, 1], [2, 2, 2]).tolist() == [-1, -1, -1]
-    assert dominators([1, 1, 2, 2], [2, 2, 3, 3]).tolist() == [-1, -1, 0, 0]
+    assert dominating_rows([1, 1, 1], [2, 2, 2]).tolist() == [-1, -1, -1]
+    assert dominating_rows([1, 1, 2, 2], [2, 2, 3, 3]).tolist() == [-1, -1, 0, 0]
     # A tie in one of the two is decided by the other.
-    assert dominators([1, 1], [2, 3]).tolist() == [-1, 0]
-    assert dominators([1, 2], [3, 3]).tolist() == [-1, 0]
+    assert dominating_rows([1, 1], [2, 3]).tolist() == [-1, 0]
+    assert dominating_rows([1, 2], [3, 3]).tolist() == [-1, 0]
 
 
 def test_a_warm_row_takes_no_cold_row_off_the_front() -> None:
     time, error, warm = [2.0, 1.0, 3.0, 4.0], [5.0, 5.0, 4.0, 6.0], [False, True, True, False]
     # Row 3 is cold and worse than cold row 0; warm row 1 is faster, but there is nothing to start it from.
-    assert dominators(time, error, warm).tolist() == [-1, -1, -1, 0]
-    assert dominators(time, error).tolist() == [1, -1, -1, 1]
+    assert dominating_rows(time, error, warm).tolist() == [-1, -1, -1, 0]
+    assert dominating_rows(time, error).tolist() == [1, -1, -1, 1]
     # A cold row that is better makes a warm one pointless.
-    assert dominators([1.0, 2.0], [1.0, 2.0], [False, True]).tolist() == [-1, 0]
+    assert dominating_rows([1.0, 2.0], [1.0, 2.0], [False, True]).tolist() == [-1, 0]
 
 
 def plain_front(time: npt.NDArray[np.int64], error: npt.NDArray[np.int64]) -> list[bool]:
@@ -102,19 +102,19 @@ def plain_front(time: npt.NDArray[np.int64], error: npt.NDArray[np.int64]) -> li
 def test_the_front_is_that_of_the_plain_reference_whatever_the_order(seed: int) -> None:
     rng = np.random.default_rng(seed)
     time, error = rng.integers(0, 6, (2, int(rng.integers(1, 25))))  # small numbers, so that there are ties
-    by = dominators(time, error)
+    by = dominating_rows(time, error)
     assert (by < 0).tolist() == plain_front(time, error)
     assert all(by[winner] < 0 for winner in by[by >= 0])  # who is named is on the front
     order = rng.permutation(len(time))
-    assert ((dominators(time[order], error[order]) < 0) == (by < 0)[order]).all()
+    assert ((dominating_rows(time[order], error[order]) < 0) == (by < 0)[order]).all()
 
 
 def test_a_time_or_an_error_that_is_no_number_is_refused() -> None:
     for time, error in (([1.0, np.nan], [1.0, 1.0]), ([1.0, 1.0], [np.inf, 1.0])):
         with pytest.raises(ValueError, match="not finite"):
-            dominators(time, error)
+            dominating_rows(time, error)
     with pytest.raises(ValueError, match=r"\(N,\)"):
-        dominators([1.0, 2.0], [1.0])
+        dominating_rows([1.0, 2.0], [1.0])
 
 
 def test_flags_are_of_each_scene_set_alone() -> None:
@@ -148,18 +148,18 @@ def test_no_knee_on_a_straight_a_bulging_or_a_short_front() -> None:
 
 
 def test_an_error_of_zero_is_where_the_diagram_has_it() -> None:
-    assert drawable([0.0, 3e-6, 1e-2], 1.0) == pytest.approx([1e-7, 3e-6, 1e-2])
-    assert drawable([0.0, 0.0], 3e-9) == pytest.approx([1e-10, 1e-10])
+    assert log_axis_errors([0.0, 3e-6, 1e-2], 1.0) == pytest.approx([1e-7, 3e-6, 1e-2])
+    assert log_axis_errors([0.0, 0.0], 3e-9) == pytest.approx([1e-10, 1e-10])
     assert knee([1.0, 2.0, 1000.0], [1e-2, 3e-6, 0.0]) == 1
 
 
 def test_a_row_is_dominated_only_by_what_has_its_conditions_and_does_its_work() -> None:
     time, error = [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]
     # A grid at hand: row 0 cannot stand in for row 1, which has none, but row 1 can for row 2.
-    assert dominators(time, error, grid=[True, False, True]).tolist() == [-1, -1, 0]
-    assert dominators(time, error, grid=[True, False, False]).tolist() == [-1, -1, 1]
+    assert dominating_rows(time, error, grid=[True, False, True]).tolist() == [-1, -1, 0]
+    assert dominating_rows(time, error, grid=[True, False, False]).tolist() == [-1, -1, 1]
     # What is ready for a gradient takes longer than what is not, and can stand in for it.
-    assert dominators(time, error, gradient=["no", "shape", "shape"]).tolist() == [-1, -1, 1]
-    assert dominators(time, error, gradient=["pose", "shape", "no"]).tolist() == [-1, -1, 0]
+    assert dominating_rows(time, error, gradient=["no", "shape", "shape"]).tolist() == [-1, -1, 1]
+    assert dominating_rows(time, error, gradient=["pose", "shape", "no"]).tolist() == [-1, -1, 0]
     rows = [frontier_row("cold", 1.0, grid=True), frontier_row("without grid", 2.0), frontier_row("slower", 3.0)]
     assert pareto_flags(rows) == [True, True, False]

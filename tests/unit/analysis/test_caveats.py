@@ -11,7 +11,7 @@ import valid_sweeps
 
 from shift3d.analysis.html.report import report_page
 from shift3d.analysis.results import read_sweep
-from shift3d.analysis.tables.coverage import trial_caveat, unmoved
+from shift3d.analysis.tables.coverage import small_sweep_warning, unresponsive_detectors
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
@@ -23,7 +23,9 @@ from shift3d.sweep.retrieval import pool_plan
 
 
 def caveat(name: str, *overrides: str) -> str | None:
-    return trial_caveat(make_plan(compose_sweep(name, ["vehicle=suv", *overrides]), valid_sweeps.catalogue)[0].tasks)
+    return small_sweep_warning(
+        make_plan(compose_sweep(name, ["vehicle=suv", *overrides]), valid_sweeps.catalogue)[0].tasks
+    )
 
 
 @pytest.mark.parametrize("words", [["smoke"], ["default", "attack.steps=5"], ["default", "attack.steps=0,5"]])
@@ -117,14 +119,14 @@ def scored(*rows: tuple[str, str, float | None, int]) -> pd.DataFrame:
 def test_a_detector_that_changes_leave_unmoved_is_named() -> None:
     blind = [("a", "own", 0.6, 400), ("a", "own", 0.6, 200), ("b", "own", 0.4, 300), ("b", "own", 0.4, 310)]
     seeing = [("a", "sst", 0.6, 400), ("a", "sst", 0.5, 200), ("b", "sst", 0.4, 300), ("b", "sst", 0.4, 310)]
-    message = unmoved(scored(*blind, *seeing))
+    message = unresponsive_detectors(scored(*blind, *seeing))
     assert message and message.startswith("own: ") and "frame" in message and "sst" not in message
 
 
 def test_vehicles_that_did_not_change_or_have_no_score_say_nothing_of_the_detector() -> None:
-    assert unmoved(scored(("a", "own", 0.6, 400), ("a", "own", 0.6, 400))) is None
-    assert unmoved(scored(("a", "own", None, 400), ("a", "own", None, 200))) is None
-    assert unmoved(scored()) is None
+    assert unresponsive_detectors(scored(("a", "own", 0.6, 400), ("a", "own", 0.6, 400))) is None
+    assert unresponsive_detectors(scored(("a", "own", None, 400), ("a", "own", None, 200))) is None
+    assert unresponsive_detectors(scored()) is None
 
 
 def test_the_report_begins_with_it(finished: Path) -> None:

@@ -13,15 +13,15 @@ import pytest
 from shift3d.analysis.detector_evaluation import write_evaluation
 from shift3d.analysis.tables.detector_tables import metric_table
 from shift3d.errors import InputError
-from shift3d.evaluation.frames import DetectedFrame, Found, Truth
+from shift3d.evaluation.frames import DetectedFrame, FrameDetections, GroundTruth
 from shift3d.evaluation.metrics import evaluate
 from shift3d.store.evaluation_tables import evaluation_table
-from shift3d.training.detector.detect_scenes import Answer
+from shift3d.training.detector.detect_scenes import SceneDetections
 
 BOX = ["x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad"]
 
 
-def _answers(graded: bool = False, milliseconds: float = 1.0) -> list[Answer]:
+def _answers(graded: bool = False, milliseconds: float = 1.0) -> list[SceneDetections]:
     answers = []
     rng = np.random.default_rng(3)
     for index in range(4):
@@ -30,7 +30,7 @@ def _answers(graded: bool = False, milliseconds: float = 1.0) -> list[Answer]:
         boxes[:, 0] = np.cumsum(rng.uniform(5, 15, count))
         boxes[:, 2:6] = (0.8, 4.0, 2.0, 1.6)
         boxes[:, 6] = rng.uniform(-0.3, 0.3, count)
-        truth = Truth(
+        truth = GroundTruth(
             boxes,
             rng.integers(0, 60, count),
             rng.random(count) < 0.8,
@@ -40,8 +40,8 @@ def _answers(graded: bool = False, milliseconds: float = 1.0) -> list[Answer]:
         wrong = boxes[: count // 2] + np.array([0, 30, 0, 0, 0, 0, 0])
         moved = np.concatenate((boxes + rng.normal(0, 0.1, boxes.shape), wrong))
         pixels = rng.uniform(20, 90, len(moved)) if graded else np.full(len(moved), np.nan)
-        found = Found(moved, rng.uniform(0.02, 0.98, len(moved)), rng.random(len(moved)) < 0.9, pixels)
-        answers.append(Answer(DetectedFrame(f"frame-{index}", truth, found), milliseconds, 2 * milliseconds))
+        found = FrameDetections(moved, rng.uniform(0.02, 0.98, len(moved)), rng.random(len(moved)) < 0.9, pixels)
+        answers.append(SceneDetections(DetectedFrame(f"frame-{index}", truth, found), milliseconds, 2 * milliseconds))
     return answers
 
 
@@ -69,14 +69,14 @@ def test_detections_and_truth_suffice_to_compute_every_metric_again(tmp_path: Pa
         frames.append(
             DetectedFrame(
                 scene,
-                Truth(
+                GroundTruth(
                     t[BOX].to_numpy(),
                     t["num_points"].to_numpy(),
                     t["counts"].to_numpy(dtype=bool),
                     t["difficulty"].fillna(-1).to_numpy(dtype=np.int64),
                     tuple(t["name"]),
                 ),
-                Found(
+                FrameDetections(
                     d[BOX].to_numpy(),
                     d["score"].to_numpy(),
                     d["labelled"].to_numpy(dtype=bool),
@@ -95,7 +95,7 @@ def test_detections_and_truth_suffice_to_compute_every_metric_again(tmp_path: Pa
 
 
 def test_tables_carry_their_schema_and_null_where_nothing_was_to_be_found(tmp_path: Path) -> None:
-    empty = [Answer(DetectedFrame("f", _answers()[2].frame.truth, _answers()[0].frame.found), 1.0, 1.0)]
+    empty = [SceneDetections(DetectedFrame("f", _answers()[2].frame.truth, _answers()[0].frame.found), 1.0, 1.0)]
     printed = write_evaluation("toy", "small", empty, tmp_path)
     table = pq.read_table(tmp_path / "metrics.parquet")
     assert table.schema.metadata[b"shift3d.schema"] == b"evaluation_metrics"

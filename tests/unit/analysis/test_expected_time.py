@@ -11,7 +11,7 @@ import pytest
 from scripts.shipped import measured_parts
 from valid_sweeps import catalogue, plan, write_sweep
 
-from shift3d.analysis.forecast import TaskParts, expected, expected_lines, limit_line, shipped_parts
+from shift3d.analysis.forecast import TaskPartTimes, expected, limit_line, run_time_lines, shipped_parts
 from shift3d.cli.main import main
 from shift3d.effects.applicability import measured_impact
 from shift3d.errors import InputError
@@ -99,7 +99,7 @@ def test_the_figures_that_ship() -> None:
 
 def test_a_task_by_its_parts() -> None:
     """10 steps and the start, two random shapes, three with noise: 11 steps and 7 objects."""
-    parts = TaskParts(
+    parts = TaskPartTimes(
         "by hand", "standard", {"shape": 1e6, "pose": 0.0}, {"shape": 1e4}, {"shape": 1e3},
         {"pointpillars": 100.0, "sst": 200.0}, {"pointpillars": 1.0, "sst": 2.0}, 0.5,
     )  # fmt: skip
@@ -117,7 +117,7 @@ def test_a_task_by_its_parts() -> None:
 
 def test_what_stands_beside_a_search_counts() -> None:
     """Random draws take as many renderings as the search, a universal shape as many a step as it has scenes."""
-    parts = TaskParts(
+    parts = TaskPartTimes(
         "by hand", "standard", {"shape": 0.0, "pose": 7.0}, {"shape": 10.0, "pose": 20.0}, {"shape": 1e3, "pose": 2e3},
         {"pointpillars": 0.0}, {"pointpillars": 0.0}, 0.0,
     )  # fmt: skip
@@ -187,30 +187,30 @@ def test_parts_of_tasks_from_their_timings() -> None:
 def test_what_is_done_is_not_counted(tmp_path: Path) -> None:
     north, both = plan_of("mode=shape", "scene=north"), plan_of("mode=shape")
     folder = ran(tmp_path / "earlier", north, 36.0)
-    lines = expected_lines(both, tmp_path / "out", [folder], [], ray(workers=4)).splitlines()
+    lines = run_time_lines(both, tmp_path / "out", [folder], [], ray(workers=4)).splitlines()
     assert lines[0] == "1 of 2 tasks are done already"
     assert lines[1] == "expected: 1 task of 36 s: 36 s with 4 workers (runner.workers=N), 0.01 core-hours"
-    assert expected_lines(north, folder, [], [], ray(workers=1)).endswith("nothing is left to run")
+    assert run_time_lines(north, folder, [], [], ray(workers=1)).endswith("nothing is left to run")
 
 
 def test_what_was_given_up_on_is_not_counted_but_said(tmp_path: Path) -> None:
     both, out = plan_of("mode=shape"), tmp_path / "out"
     open_folder(out, both)
     CommitLog(out, both.spec_hash).commit((), (both.tasks[0].spec.task_id,), {})
-    lines = expected_lines(both, out, [], [], ray(workers=1)).splitlines()
+    lines = run_time_lines(both, out, [], [], ray(workers=1)).splitlines()
     assert lines[0] == "1 quarantined task stays out: --retry-quarantined runs it again"
     assert lines[1].startswith("expected: 1 task of ")
 
 
 def test_a_folder_that_has_run_nothing_says_nothing(tmp_path: Path) -> None:
     open_folder(tmp_path / "out", plan())
-    assert "the figures that ship" in expected_lines(plan(), tmp_path / "out", [], [], ray(workers=2))
+    assert "the figures that ship" in run_time_lines(plan(), tmp_path / "out", [], [], ray(workers=2))
     with pytest.raises(InputError, match="is not the output folder of a sweep"):
-        expected_lines(plan(), tmp_path / "out", [], [tmp_path / "none"], ray(workers=2))
+        run_time_lines(plan(), tmp_path / "out", [], [tmp_path / "none"], ray(workers=2))
     write_sweep(tmp_path / "finished")
     (tmp_path / "finished" / "plan.parquet").write_bytes(b"PAR1")
     with pytest.raises(InputError, match=r"plan\.parquet"):
-        expected_lines(plan_of("mode=pose"), tmp_path / "out", [], [tmp_path / "finished"], ray(workers=2))
+        run_time_lines(plan_of("mode=pose"), tmp_path / "out", [], [tmp_path / "finished"], ray(workers=2))
 
 
 def test_a_time_limit_below_twice_the_slowest_task_is_reported_with_one_that_suits(tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_a_time_limit_below_twice_the_slowest_task_is_reported_with_one_that_sui
     shape, pose = (expected(plan_of(f"mode={mode}").tasks, []).longest_s for mode in ("shape", "pose"))
     assert expected(both.tasks, []).longest_s == max(shape, pose)
     earlier = ran(tmp_path / "earlier", plan_of("mode=shape,pose", "scene=north"), 1000.0)
-    *_, line = expected_lines(both, None, [], [earlier], limit).splitlines()
+    *_, line = run_time_lines(both, None, [], [earlier], limit).splitlines()
     assert line.startswith("a task is expected to take 16.7 min; one that takes more than 30 min is ended")
     assert line.endswith("(runner.task_timeout_s=1800): give runner.task_timeout_s=4020")
     assert limit_line(900.0, limit) == limit_line(1e9, ray(task_timeout_s=None)) == ""  # type: ignore[arg-type]

@@ -12,9 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 from suites_by_hand import PER_SCENE, SCENES, write_detector, write_suite
 
-from shift3d.analysis.gate import Acceptance, GateSettings, Outcome, run_gate
+from shift3d.analysis.gate import Acceptance, GateOutcome, GateSettings, run_gate
 from shift3d.analysis.statistics.loss import least_p_value
-from shift3d.analysis.statistics.releases import Rule
+from shift3d.analysis.statistics.releases import ReleaseRule
 from shift3d.analysis.tables.gate import compare
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
@@ -32,7 +32,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def gate(folder: Path, bias: float, accept: Acceptance = "false", **more: object) -> Outcome:
+def gate(folder: Path, bias: float, accept: Acceptance = "false", **more: object) -> GateOutcome:
     module, weights = write_detector(folder, bias)
     suite, out = read_suite(folder / "suite"), as_location(folder / f"out{bias:g}")
     settings = GateSettings(accept=accept, **more)  # type: ignore[arg-type]
@@ -161,10 +161,10 @@ def test_a_verdict_does_not_promise_to_find_what_cannot_be_lost() -> None:
     objects = objects.assign(vehicle="suv", dataset="d", mode="shape", x_m=20.0, y_m=0.0, object_points=300)
     objects = objects.assign(scene=[f"s{n % 12}" for n in range(60)])
     missed = dict.fromkeys(objects["object_id"], 0.1)
-    sentence = compare(objects, missed, missed, Rule()).sentence("release 1")
+    sentence = compare(objects, missed, missed, ReleaseRule()).sentence("release 1")
     assert "of which 0 were detected before, no loss of recall can be shown" in sentence
     found = dict.fromkeys(objects["object_id"], 0.9)
-    assert "if objects are independent" in compare(objects, found, found, Rule()).sentence("release 1")
+    assert "if objects are independent" in compare(objects, found, found, ReleaseRule()).sentence("release 1")
 
 
 def test_a_level_below_the_least_p_value_gives_no_verdict() -> None:
@@ -225,7 +225,9 @@ def test_the_comparison_does_not_depend_on_the_objects_order(folder: Path) -> No
     objects = read_suite(folder / "suite").objects
     rng = np.random.default_rng(0)
     before, after = (dict(zip(objects["object_id"], rng.random(len(objects)))) for _ in range(2))
-    one, two = (compare(rows, before, after, Rule()) for rows in (objects, objects.sample(frac=1, random_state=1)))
+    one, two = (
+        compare(rows, before, after, ReleaseRule()) for rows in (objects, objects.sample(frac=1, random_state=1))
+    )
     assert one.rows.equals(two.rows)
     assert [m.p_value for m in one.measures] == [m.p_value for m in two.measures]
     recall = one.measures[0]

@@ -13,7 +13,7 @@ from shift3d.analysis.statistics.loss import (
     recall_power,
     scene_sums,
 )
-from shift3d.analysis.statistics.releases import Rule, measured_differences, stopped_releases
+from shift3d.analysis.statistics.releases import ReleaseRule, measured_differences, stopped_releases
 
 
 @pytest.mark.parametrize(("lost", "gained"), [(1, 0), (6, 0), (5, 2), (0, 4), (40, 25)])
@@ -88,7 +88,7 @@ def suite(objects: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.1])
 def test_of_200_releases_a_loss_of_two_points_is_found_in_nine_of_ten(noise: float) -> None:
     """500 hard objects: found in at least 90 % with the loss, stopped in at most 5 % without one."""
-    rates = stopped_releases(*suite(500), noise, 0.02, Rule(), releases=200)
+    rates = stopped_releases(*suite(500), noise, 0.02, ReleaseRule(), releases=200)
     assert rates.found is not None and rates.found >= 0.90
     assert rates.false_alarms <= 0.05
     assert (rates.lost > 0) == (noise > 0)
@@ -98,13 +98,13 @@ def test_of_200_releases_a_loss_of_two_points_is_found_in_nine_of_ten(noise: flo
 def test_noisy_trainings_are_not_stopped_more_often(noise: float) -> None:
     """Whatever the noise, and though objects of a scene share half of it."""
     scores, hard, places = suite(240)
-    strict = Rule(level=0.05, tolerance=0.0)
+    strict = ReleaseRule(level=0.05, tolerance=0.0)
     rates = stopped_releases(scores, hard, places, noise, 0.02, strict, releases=400)
     assert rates.false_alarms <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)
 
 
 def test_a_loss_below_the_tolerance_stops_nothing() -> None:
-    rule = Rule(tolerance=0.005)
+    rule = ReleaseRule(tolerance=0.005)
     changes, p_values = np.array([-0.004, -0.005, -0.2, 0.1]), np.array([0.001, 0.001, 0.06, 0.001])
     assert rule.stops(changes, p_values).tolist() == [False, True, False, False]
     assert stopped_releases(*suite(20), 0.0, 0.9, rule).found is None, "too few are detected to lose nine of ten"

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from shift3d.analysis.cases.rendered import simplified
-from shift3d.analysis.html.sections.cases import change_lines, in_words
+from shift3d.analysis.html.sections.cases import change_lines, describe_changes
 from shift3d.vehicles.mesh_measures import measure_mesh
 
 
@@ -19,7 +19,7 @@ def test_a_box_is_measured_in_centimetres() -> None:
     assert found.clearance_cm == pytest.approx(0.0, abs=1e-6)
     assert found.nose_cm == pytest.approx(150.0) and found.windshield_deg == pytest.approx(90.0)
     assert "not measured" not in str(change_lines(found, found))
-    assert in_words(found, found).startswith("No measure changes")
+    assert describe_changes(found, found).startswith("No measure changes")
 
 
 def test_cavities_and_crumbs_are_no_pieces() -> None:
@@ -54,7 +54,7 @@ def test_windshield_nose_and_clearance_are_found_and_said(hood_m: float) -> None
     assert before.bonnet_cm == pytest.approx(100.0, abs=3.0)
     axles = (before.front_overhang_cm, before.wheelbase_cm, before.rear_overhang_cm)
     assert axles == pytest.approx((40.0, 320.0, 40.0))
-    message = in_words(before, after)
+    message = describe_changes(before, after)
     assert "underside 6 cm farther from the ground" in message and "windshield 2" in message and "steeper" in message
 
 

@@ -18,7 +18,7 @@ from shift3d.analysis.html.sections.bev import transfer_grid
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import ratio_interval
 from shift3d.analysis.tables.auc import auc_table, natural_search, natural_table
-from shift3d.analysis.tables.paper import paper_beside, paper_table
+from shift3d.analysis.tables.paper import paper_table, paper_table_of
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import interval_text
 from shift3d.analysis.variants import variants
@@ -143,9 +143,9 @@ def test_the_papers_sst_stands_beside_the_small_one() -> None:
 
 def test_the_paper_stands_beside_its_own_search_alone() -> None:
     of_paper = variant({("baseline", "suv"): [0.8, 0.7], ("baseline", "van"): [0.8, 0.7]})
-    assert paper_beside(of_paper) == paper_table("shape", "pointpillars", "pointpillars")
-    assert paper_beside(dataclasses.replace(of_paper, search="expectation_parameters")) is None
-    assert paper_beside(variant({("baseline", "van"): [0.8, 0.7]})) is None
+    assert paper_table_of(of_paper) == paper_table("shape", "pointpillars", "pointpillars")
+    assert paper_table_of(dataclasses.replace(of_paper, search="expectation_parameters")) is None
+    assert paper_table_of(variant({("baseline", "van"): [0.8, 0.7]})) is None
 
 
 def transfers(places: int = 6) -> pd.DataFrame:

@@ -19,7 +19,7 @@ from shift3d.analysis.html.sections.patterns import patterns
 from shift3d.analysis.html.sections.retrieval import kin_curves
 from shift3d.analysis.mlflow.sweep import follow_up_metrics
 from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
-from shift3d.analysis.tables.retrieval import controls_of, kept, kin_of, pool_table, retrieval_table
+from shift3d.analysis.tables.retrieval import controls_of, kept, pool_table, pool_vehicle_of, retrieval_table
 from shift3d.errors import InputError
 
 KNOWN = {"search": "descent", "lambda": 1.0, "alpha": 0.01, "detector": "pointpillars", "scored_by": "pointpillars"}
@@ -195,9 +195,9 @@ def test_vehicles_of_two_data_sets_are_two_whatever_their_scenes_are_called() ->
     assert pool.title.startswith("Labelled vehicles of 2 scenes: 2 fitted")
     frame = pd.DataFrame([{"dataset": name, "scene": "000000", "label": 0} for name in ("kitti", "openpcdet")])
     row = {"pool_dataset": "openpcdet", "pool_scene": "000000", "pool_label": 0}
-    assert kin_of(frame, row)["dataset"] == "openpcdet"
+    assert pool_vehicle_of(frame, row)["dataset"] == "openpcdet"
     with pytest.raises(InputError, match="no vehicle 1 of openpcdet/000000"):
-        kin_of(frame, row | {"pool_label": 1})
+        pool_vehicle_of(frame, row | {"pool_label": 1})
 
 
 def test_mlflow_shows_mean_changes_and_the_scores_of_kin_and_nothing_of_tables_that_are_missing() -> None:

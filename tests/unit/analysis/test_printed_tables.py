@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from shift3d.analysis.tables.auc import auc_table
-from shift3d.analysis.tables.coverage import coverage_lines, searched_elsewhere, stage_times
+from shift3d.analysis.tables.coverage import coverage_lines, missing_search_scenes, stage_times
 from shift3d.analysis.variants import variants
 from shift3d.task.spec import AttackSpec
 
@@ -124,12 +124,12 @@ def test_universal_shapes_that_were_searched_in_fewer_scenes_are_counted() -> No
     scores = pd.DataFrame({"task_id": ["a", "b", "b", "c"], "search": [search[0], search[1], search[1], search[2]]})
     stages = ["render", "search_scenes", "search_scenes"]
     timings = pd.DataFrame({"task_id": ["b", "b", "c"], "stage": stages, "calls": [9, 1, 3]})
-    assert searched_elsewhere(scores, timings) == (
+    assert missing_search_scenes(scores, timings) == (
         "1 of 2 universal shapes searched in fewer scenes than asked for: "
         "2 of 6 other scenes had no room for the vehicle"
     )
-    assert searched_elsewhere(scores, timings[timings["task_id"] == "c"]) == ""
-    assert searched_elsewhere(scores, timings[:1]) == "", "no shape was universal"
+    assert missing_search_scenes(scores, timings[timings["task_id"] == "c"]) == ""
+    assert missing_search_scenes(scores, timings[:1]) == "", "no shape was universal"
 
 
 def test_stage_times_are_means_over_tasks() -> None:

@@ -12,13 +12,13 @@ import trimesh
 import valid_sweeps
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from shift3d.analysis.cases.chosen import Case
 from shift3d.analysis.cases.rendered import Rendered
+from shift3d.analysis.cases.selection import Case
 from shift3d.analysis.html.blocks import Section
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
 from shift3d.analysis.html.report import write_report
-from shift3d.analysis.html.scene_figures import turnable
+from shift3d.analysis.html.scene_figures import paired_3d_views
 from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
@@ -54,7 +54,7 @@ def two_cars(tmp_path_factory: pytest.TempPathFactory) -> Path:
         mesh, np.zeros(6), np.zeros((0, 2)), np.zeros((0, 2)), 0, np.array([0, 0, 0, 4, 2, 1.5, 0]), None, 0.0
     )
     case = Case("id", "suv", "north", "shape", 0.9, 0.1)
-    page = document("t", [Section("k", "s", turnable("x", case, box, box))], "l", plotly_library())
+    page = document("t", [Section("k", "s", paired_3d_views("x", case, box, box))], "l", plotly_library())
     file = tmp_path_factory.mktemp("cars") / "page.html"
     file.write_text(page)
     return file

@@ -12,16 +12,16 @@ import pytest
 import trimesh
 from analysed import blocks_html, two_vehicles, variant
 
-from shift3d.analysis.cases.chosen import Case, hardest, random_positions
-from shift3d.analysis.cases.rendered import Loaded, Rendered
+from shift3d.analysis.cases.rendered import PageCache, Rendered
+from shift3d.analysis.cases.selection import Case, hardest, random_positions
 from shift3d.analysis.html.sections.auc import auc_blocks, differences
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
 from shift3d.analysis.html.sections.cases import _left_out, what_changed
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.gallery import gallery
-from shift3d.analysis.html.sections.in_short import headline
 from shift3d.analysis.html.sections.overview import coverage
 from shift3d.analysis.html.sections.stability import stability
+from shift3d.analysis.html.sections.summary import headline
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.paired import paired
 from shift3d.analysis.tables.auc import auc_table
@@ -78,7 +78,7 @@ def test_the_gallery_draws_over_all_tasks_whatever_became_of_them(finished: Path
     own = scores["task_id"] == lost
     scores.loc[own, "score"], scores.loc[own, "status"] = np.nan, "no_placement"
     scores.loc[(scores["task_id"] == stayed) & (scores["method"] == "adversarial"), "status"] = "no_valid_step"
-    shown = blocks_html(gallery(dataclasses.replace(sweep, scores=scores), Loaded(sweep.plan)))
+    shown = blocks_html(gallery(dataclasses.replace(sweep, scores=scores), PageCache(sweep.plan)))
     assert shown.count("<figure>") == 2 and "no placement" in shown and ", no valid step<" in shown
     assert "All 2 tasks" in shown and "0.90 → 0.30" in shown
 
@@ -87,7 +87,7 @@ def test_the_gallery_names_the_kind_that_a_search_turned_to(finished: Path) -> N
     sweep = read_sweep(finished)
     for kind, words in ((None, "suv, shape"), ("box_van", "suv to box van, shape")):
         solutions = sweep.solutions.assign(drawn_as=kind)
-        shown = blocks_html(gallery(dataclasses.replace(sweep, solutions=solutions), Loaded(sweep.plan)))
+        shown = blocks_html(gallery(dataclasses.replace(sweep, solutions=solutions), PageCache(sweep.plan)))
         assert words in shown
 
 

@@ -17,7 +17,7 @@ from shift3d.attack.pose import PoseLimits, attack_pose, pose_search, project
 from shift3d.attack.problem import AttackProblem, measure
 from shift3d.attack.shape import attack_shape, on_ground
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, Site, place, refusals
+from shift3d.placement.sampling import NoPlacement, Placement, PlacementContext, PlacementLimits, format_refusals, place
 from shift3d.render import Beams, SdfGrid, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
@@ -38,7 +38,9 @@ def beams() -> Beams:
 
 @pytest.fixture(scope="module")
 def placement(beams: Beams) -> Placement:
-    found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS)
+    found = place(
+        PlacementContext(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS
+    )
     assert isinstance(found, Placement)
     return found
 
@@ -58,7 +60,9 @@ def test_a_placement_satisfies_everything(placement: Placement) -> None:
 
 def test_placement_is_decided_by_the_seed(beams: Beams, placement: Placement) -> None:
     def again(seed: int) -> Tensor:
-        found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(seed), LIMITS, RULES, SETTINGS)
+        found = place(
+            PlacementContext(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(seed), LIMITS, RULES, SETTINGS
+        )
         assert isinstance(found, Placement)
         return found.theta
 
@@ -68,16 +72,20 @@ def test_placement_is_decided_by_the_seed(beams: Beams, placement: Placement) ->
 
 def test_the_sector_is_respected(beams: Beams) -> None:
     limits = PlacementLimits(8.0, 12.0, sector=(math.pi / 2, 0.3), attempts=80)
-    found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(0), limits, RULES, SETTINGS)
+    found = place(
+        PlacementContext(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(0), limits, RULES, SETTINGS
+    )
     assert isinstance(found, Placement)
     assert abs(math.atan2(float(found.theta[1]), float(found.theta[0])) - math.pi / 2) <= 0.3
 
 
 def test_a_scene_without_room_says_why(beams: Beams) -> None:
     limits = PlacementLimits(40.0, 50.0, attempts=6)
-    found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(0), limits, RULES, SETTINGS)
+    found = place(
+        PlacementContext(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(0), limits, RULES, SETTINGS
+    )
     assert isinstance(found, NoPlacement)
-    assert sum(found.rejected.values()) == 6 and found.attempts == 6 and refusals(found.rejected)
+    assert sum(found.rejected.values()) == 6 and found.attempts == 6 and format_refusals(found.rejected)
 
 
 def test_zero_steps_change_nothing(problem: AttackProblem) -> None:
@@ -212,7 +220,9 @@ def test_a_changed_shape_keeps_standing_on_the_ground(problem: AttackProblem) ->
 
 def test_placement_stays_clear_of_the_scenes_vehicles(beams: Beams, placement: Placement) -> None:
     others = placement.theta[None, :2].clone()
-    found = place(Site(beams, -1.73, others), field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS)
+    found = place(
+        PlacementContext(beams, -1.73, others), field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS
+    )
     assert isinstance(found, Placement)
     assert float((found.theta[:2] - others[0]).norm()) > RULES.clear_m
     assert found.rejected["neighbour"] >= 1
@@ -222,4 +232,4 @@ def test_an_sdf_grid_changes_no_result(problem: AttackProblem) -> None:
     mapped = replace(problem, space=SdfGrid.of(field_of(CODE), FRAME, SETTINGS))
     plain = measure(problem, CODE, problem.theta0)
     assert float(measure(mapped, CODE, problem.theta0).adversarial) == pytest.approx(float(plain.adversarial), rel=1e-4)
-    assert mapped.space_for(CODE + 0.1) is None
+    assert mapped.sdf_grid_for(CODE + 0.1) is None

@@ -11,7 +11,7 @@ from shift3d.attack.pose import attack_pose
 from shift3d.attack.problem import AttackProblem, measure
 from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import attack_shape
-from shift3d.detectors.incremental.inference import WholeWindow, incremental_inference
+from shift3d.detectors.incremental.inference import UncachedInference, incremental_inference
 from shift3d.detectors.incremental.pillars import IncrementalPillars
 from shift3d.detectors.incremental.tokens import IncrementalTokens
 from shift3d.detectors.trained_detector import TrainedDetector
@@ -46,7 +46,7 @@ def test_following_changes_no_trajectory(
 ) -> None:
     assert isinstance(problem.incremental_inference(), IncrementalPillars | IncrementalTokens)
     followed, again = _attack(problem, mode, alpha), _attack(problem, mode, alpha)
-    monkeypatch.setattr(problem_module, incremental_inference.__name__, WholeWindow)
+    monkeypatch.setattr(problem_module, incremental_inference.__name__, UncachedInference)
     plain = _attack(problem, mode, alpha)
     losses = [[record.loss for record in result.trace] for result in (followed, again, plain)]
     assert losses[0] == losses[1]

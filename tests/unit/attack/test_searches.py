@@ -10,17 +10,17 @@ from torch import Tensor
 from toy_detector import WaveDetector
 
 from shift3d.attack.expectation import descend_expectation
+from shift3d.attack.gradient_free import evolve, search_by_draws
 from shift3d.attack.joint import joint_search
 from shift3d.attack.loop import descend
 from shift3d.attack.pose import PoseLimits, pose_search
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
-from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
 from shift3d.attack.space import CodeSpace, free_space, pca_space
-from shift3d.attack.trials import Family, Search, Trials, unusual_first
+from shift3d.attack.trials import Family, Search, SearchEvaluator, order_by_rarity
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import Placement, PlacementLimits, Site, place
+from shift3d.placement.sampling import Placement, PlacementContext, PlacementLimits, place
 from shift3d.render import Beams, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
@@ -38,7 +38,9 @@ def field_of(code: Tensor) -> Field:
 def problem() -> AttackProblem:
     beams = Beams.from_arrays(*ground_scan(rings=64, columns=600))
     limits = PlacementLimits(8.0, 12.0, attempts=80)
-    found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(3), limits, RULES, SETTINGS)
+    found = place(
+        PlacementContext(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(3), limits, RULES, SETTINGS
+    )
     assert isinstance(found, Placement)
     return AttackProblem(beams, -1.73, field_of, FRAME, WaveDetector(), found.theta, CODE, RULES, SETTINGS)
 
@@ -55,7 +57,7 @@ def run(problem: AttackProblem, name: str, seed: int = 0) -> AttackResult:
     if name == "evolution":
         return evolve(problem, shape_search(problem, 0.0, small_space(problem)), 12, rng)
     if name == "random":
-        return draw_best(problem, shape_search(problem, 0.0), 6, rng)
+        return search_by_draws(problem, shape_search(problem, 0.0), 6, rng)
     joint = joint_search(problem, 0.0, free_space(problem.code0), NEAR)
     return descend_expectation(problem, joint, 6, 0.02, rng, placements=1)
 
@@ -142,8 +144,8 @@ def test_the_loss_of_a_universal_shape_is_the_mean_over_its_places(problem: Atta
     moved[3] += 0.7
     other = replace(problem, theta0=moved)
     both = shape_search(problem, 0.5, elsewhere=[other])
-    trials = Trials(problem, both)
-    here, there = Trials(problem, shape_search(problem, 0.5)), Trials(other, shape_search(other, 0.5))
+    trials = SearchEvaluator(problem, both)
+    here, there = SearchEvaluator(problem, shape_search(problem, 0.5)), SearchEvaluator(other, shape_search(other, 0.5))
     code = problem.code0 + 0.05
     gradient = trials.evaluate(code, True)
     parts = [alone.evaluate(code, True) for alone in (here, there)]
@@ -181,7 +183,7 @@ def test_no_search_keeps_what_lies_beyond_its_budget(problem: AttackProblem, nam
     found = {
         "expectation": lambda: descend_expectation(problem, search, 12, 0.05, rng, placements=1, starts=4),
         "evolution": lambda: evolve(problem, search, 10, rng),
-        "random": lambda: draw_best(problem, search, 8, rng),
+        "random": lambda: search_by_draws(problem, search, 8, rng),
         "descent": lambda: descend(problem, search, 8, 0.05),
     }[name]()
     assert max(distances) > 0.15, "the budget was met"
@@ -235,15 +237,15 @@ def test_the_second_half_of_the_starts_is_of_the_three_best_kinds_of_the_first(p
 
 def test_the_most_unusual_kind_is_the_one_farthest_from_the_mean_of_the_known_codes() -> None:
     known = np.array([[0, 0], [2, 0]], np.float32)
-    assert unusual_first(np.array([[1, 0.5], [1, -3], [4, 0], [1, 3]], np.float32), known) == (1, 2, 3, 0)
+    assert order_by_rarity(np.array([[1, 0.5], [1, -3], [4, 0], [1, 3]], np.float32), known) == (1, 2, 3, 0)
 
 
 def test_draws_over_kinds_hand_back_the_vehicle_of_the_best(problem: AttackProblem) -> None:
     family = two_kinds(problem)
-    found = draw_best(problem, family.of(0)[1], 6, np.random.default_rng(1), family=family)
+    found = search_by_draws(problem, family.of(0)[1], 6, np.random.default_rng(1), family=family)
     valid = [step for step in found.trace[1:] if step.valid]
     assert found.best.loss == min(step.loss for step in valid)
-    again = Trials(*next(kind for kind in map(family.of, range(2)) if kind[0].vehicle is found.vehicle))
+    again = SearchEvaluator(*next(kind for kind in map(family.of, range(2)) if kind[0].vehicle is found.vehicle))
     again.evaluate(found.latent_code, False)
     assert again.trace[0].loss == pytest.approx(found.best.loss, rel=1e-6)
 

@@ -7,7 +7,7 @@ import torch
 from shift3d.attack.space import free_space, parameter_space, pca_space
 from shift3d.errors import InputError
 from shift3d.sdf.principal_components import ball_radius
-from shift3d.vehicles.parameter_box import BoxOfParameters
+from shift3d.vehicles.parameter_box import ParameterBox
 
 AXES = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 3)))[0].T
 SPREAD = np.array([3.0, 1.0, 0.5])
@@ -89,10 +89,10 @@ def test_too_few_codes_are_refused_with_how_many_would_do(codes: np.ndarray) -> 
         pca_space(torch.zeros(8), codes, 5, "some checkpoint")
 
 
-def box() -> BoxOfParameters:
+def box() -> ParameterBox:
     basis = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0]], np.float32)
     low, high = np.array([-1.0, 0.0]), np.array([3.0, 0.5])
-    return BoxOfParameters(basis, np.array([0.0, 0.5]), low, high, ("chassis.length_m", "chassis.height_m"))
+    return ParameterBox(basis, np.array([0.0, 0.5]), low, high, ("chassis.length_m", "chassis.height_m"))
 
 
 def test_parameters_stay_within_their_ranges_and_the_rest_of_the_code_as_it_is() -> None:

@@ -19,9 +19,9 @@ from shift3d.cli.command import key_values
 from shift3d.cli.commands.detectors import train
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
-from shift3d.cli.mesh_words import FRAME_VALUES
+from shift3d.cli.mesh_arguments import FRAME_VALUES
+from shift3d.cli.sweep_arguments import parse_name_and_overrides
 from shift3d.cli.version import _commit
-from shift3d.cli.words import split_words
 from shift3d.errors import InputError
 from shift3d.store.resolve import as_location
 
@@ -152,10 +152,14 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_2(
 
 
 def test_words_of_a_sweep() -> None:
-    assert split_words([]) == ("default", [], None)
-    assert split_words(["kitti", "scenes.root=a=b", "out=c d"]) == ("kitti", ["scenes.root=a=b"], as_location("c d"))
-    assert split_words(["vehicle=suv"]) == ("default", ["vehicle=suv"], None)
-    assert split_words(["+scenes.x=1"]) == ("default", ["+scenes.x=1"], None)
+    assert parse_name_and_overrides([]) == ("default", [], None)
+    assert parse_name_and_overrides(["kitti", "scenes.root=a=b", "out=c d"]) == (
+        "kitti",
+        ["scenes.root=a=b"],
+        as_location("c d"),
+    )
+    assert parse_name_and_overrides(["vehicle=suv"]) == ("default", ["vehicle=suv"], None)
+    assert parse_name_and_overrides(["+scenes.x=1"]) == ("default", ["+scenes.x=1"], None)
 
 
 def test_words_may_stand_on_both_sides_of_an_option() -> None:

@@ -12,12 +12,12 @@ import pytest
 
 from shift3d.cli.command import Command
 from shift3d.cli.commands.detectors import finetune
-from shift3d.cli.commands.detectors.finetune import Step, read_request, run_step
+from shift3d.cli.commands.detectors.finetune import PipelineStep, read_request, run_step
 from shift3d.cli.main import main
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
-from shift3d.signals import stop_signals
+from shift3d.signals import handle_stop_signals
 from shift3d.training.provenance import write_provenance
 
 LOCAL = ("runner=local", "tracking=none", "scenes.count=1", "scenes.sensor=hdl64", "scenes.traffic=family",
@@ -31,12 +31,12 @@ def test_a_step_that_was_asked_to_stop_is_the_last_though_it_came_to_its_end(
     """As a sweep, which finishes the tasks in flight: where they are its last, it is done."""
 
     def run(arguments: argparse.Namespace) -> int:
-        with stop_signals(lambda *_: None):
+        with handle_stop_signals(lambda *_: None):
             if stops:
                 os.kill(os.getpid(), signal.SIGTERM)
         return int(ExitCode.DONE)
 
-    step = Step(Command("sweep", "", "", "", run, words="words"), ["finetune"])
+    step = PipelineStep(Command("sweep", "", "", "", run, words="words"), ["finetune"])
     assert run_step(step) == (ExitCode.INTERRUPTED if stops else ExitCode.DONE)
     assert capsys.readouterr().out == "\n$ shift3d sweep finetune\n"
 

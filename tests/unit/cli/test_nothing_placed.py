@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from shift3d.analysis.tables.coverage import nothing_placed
+from shift3d.analysis.tables.coverage import no_placement_message
 from shift3d.cli.main import main
 from shift3d.exit_codes import ExitCode
 
@@ -26,9 +26,9 @@ def test_only_a_sweep_without_any_place_is_one() -> None:
     def scores(*status: str) -> pd.DataFrame:
         return pd.DataFrame({"task_id": list("abc")[: len(status)], "status": list(status)})
 
-    assert nothing_placed(scores(), SETTINGS) is None, "every task was quarantined"
-    assert nothing_placed(scores("ok", "no_placement"), SETTINGS) is None
-    assert "all 2 tasks" in str(nothing_placed(scores("no_placement", "no_placement"), SETTINGS))
+    assert no_placement_message(scores(), SETTINGS) is None, "every task was quarantined"
+    assert no_placement_message(scores("ok", "no_placement"), SETTINGS) is None
+    assert "all 2 tasks" in str(no_placement_message(scores("no_placement", "no_placement"), SETTINGS))
 
 
 def test_nothing_fitted_is_said_first(

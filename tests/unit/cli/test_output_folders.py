@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from shift3d.cli.main import main
-from shift3d.cli.words import read_words
+from shift3d.cli.sweep_arguments import read_words
 from shift3d.settings.catalogue.reading import read_catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.resolve import as_location

@@ -7,19 +7,19 @@ from torch.nn.functional import conv2d, conv_transpose2d, max_pool2d
 
 from shift3d.detectors.incremental.active_sites import (
     MapShape,
-    empty_set,
+    empty_mask,
     fine_cells,
+    full_mask,
     pooled,
     reached,
     sources,
-    whole_set,
 )
 
 KERNEL = torch.ones(1, 1, 3, 3)
 
 
 def _random_set(shape: MapShape, share: float, seed: int) -> np.ndarray:
-    cells = empty_set(shape)
+    cells = empty_mask(shape)
     cells[1:-1, 1:-1] = np.random.default_rng(seed).random((shape.height, shape.width)) < share
     return cells
 
@@ -55,7 +55,7 @@ def test_neighbours_are_what_the_kernel_reads(stride: int) -> None:
     values[1:-1, 1:-1] = torch.randn(shape.height, shape.width, generator=torch.Generator().manual_seed(0))
     kernel = torch.arange(9.0).view(1, 1, 3, 3) + 1
     expected = conv2d(values[None, None, 1:-1, 1:-1], kernel, stride=stride, padding=1)[0, 0]
-    read = shape.neighbours(np.flatnonzero(whole_set(shape.strided(stride))), stride)
+    read = shape.neighbours(np.flatnonzero(full_mask(shape.strided(stride))), stride)
     assert torch.allclose(values.view(-1)[torch.from_numpy(read)] @ kernel.view(9), expected.reshape(-1), atol=1e-5)
 
 
@@ -67,6 +67,6 @@ def test_pooling_and_its_reverse(factor: int) -> None:
     assert _same(coarse, max_pool2d(_map(cells), factor))
     fine = fine_cells(np.flatnonzero(coarse), factor, shape)
     assert fine.shape[1] == factor**2 and len(np.unique(fine)) == fine.size
-    covered = empty_set(shape)
+    covered = empty_mask(shape)
     covered.reshape(-1)[fine] = True
     assert _same(covered, torch.nn.functional.interpolate(_map(coarse), scale_factor=factor))

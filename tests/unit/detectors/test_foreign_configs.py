@@ -9,14 +9,14 @@ import pytest
 from foreign_cases import CASES
 from foreign_configs import mm_centerpoint, mm_pointpillars, pcd_pointpillar
 
+from shift3d.detectors.foreign.config_common import ForeignOverrides
 from shift3d.detectors.foreign.detector import foreign_layout
-from shift3d.detectors.foreign.parts import Choices
 from shift3d.detectors.foreign.python_config import read_python_config
 from shift3d.errors import InputError
 
 
 def layout(name: str, path: Path, **choices: Any) -> dict[str, Any]:
-    return foreign_layout(name, path, Choices(**choices))
+    return foreign_layout(name, path, ForeignOverrides(**choices))
 
 
 def refused(name: str, path: Path, **choices: Any) -> InputError:

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import WAYMO_GRID, assign_pillars, full_window, side_by_side
+from shift3d.detectors.grid import WAYMO_GRID, assign_pillars, concatenate_pillars, full_window
 from shift3d.detectors.models.pillar_net import decorate
 
 WINDOW = BevWindow(200, 220, 40, 30, 200, 220, 40, 30)
@@ -80,10 +80,10 @@ def test_clouds_side_by_side_have_the_pillars_of_each() -> None:
     clouds = [_points(400, seed) for seed in (1, 2)]
     clouds.insert(1, torch.full((3, 3), 1e4))
     parts = [assign_pillars(points, WAYMO_GRID, WINDOW) for points in clouds]
-    together, every = side_by_side(parts, [len(points) for points in clouds]), torch.cat(clouds)
+    together, every = concatenate_pillars(parts, [len(points) for points in clouds]), torch.cat(clouds)
     assert len(parts[1].counts) == 0 and len(parts[0].counts) > 1
     assert torch.equal(every[together.order], torch.cat([own[part.order] for own, part in zip(clouds, parts)]))
     assert torch.equal(together.pillar, torch.arange(len(together.counts)).repeat_interleave(together.counts))
     for name in ("counts", "cell_x", "cell_y"):
         assert torch.equal(getattr(together, name), torch.cat([getattr(part, name) for part in parts])), name
-    assert side_by_side(parts[:1], [len(clouds[0])]) is parts[0]
+    assert concatenate_pillars(parts[:1], [len(clouds[0])]) is parts[0]

@@ -11,7 +11,7 @@ from random_networks import random_net, random_scene
 from torch.utils.flop_counter import FlopCounterMode
 
 from shift3d.detectors.base import BevWindow, Proposals
-from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow, incremental_inference
+from shift3d.detectors.incremental.inference import IncrementalInference, UncachedInference, incremental_inference
 from shift3d.detectors.incremental.pillars import IncrementalPillars
 from shift3d.detectors.incremental.tokens import IncrementalTokens
 from shift3d.detectors.loading import load_detector
@@ -265,7 +265,7 @@ def test_a_window_that_is_not_aligned_is_computed_each_time() -> None:
     incremental = incremental_inference(
         detector, dataclasses.replace(window, x0=window.x0 - 1)
     )  # the coarsest map's cells are cut
-    assert isinstance(incremental, WholeWindow)
+    assert isinstance(incremental, UncachedInference)
     for points in (_scene(), EDITS["the car"](_scene())):
         assert torch.equal(incremental.proposals(points, window).logits, detector.proposals(points, window).logits)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from shift3d.render.settings import RenderSettings
-from shift3d.store.schemas import ABOUT, MEANINGS, SCHEMAS
+from shift3d.store.schemas import COLUMN_MEANINGS, SCHEMAS, TABLE_DESCRIPTIONS
 
 ROOT = Path(__file__).parents[3]
 MADE = runpy.run_path(str(ROOT / "docs" / "scripts" / "reference_pages.py"))
@@ -28,5 +28,5 @@ def test_every_setting_has_a_meaning() -> None:
 
 
 def test_no_column_is_described_that_is_not_there() -> None:
-    assert set(ABOUT) == set(SCHEMAS) and all(MEANINGS.values())
-    assert set(MEANINGS) == {field.name for schema in SCHEMAS.values() for field in schema}
+    assert set(TABLE_DESCRIPTIONS) == set(SCHEMAS) and all(COLUMN_MEANINGS.values())
+    assert set(COLUMN_MEANINGS) == {field.name for schema in SCHEMAS.values() for field in schema}

@@ -9,13 +9,13 @@ from analytic_fields import Frame
 
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.power import (
-    PowerLimit,
+    DetectionLoss,
+    detection_draws,
+    detection_probability,
     echo_power,
     least_power,
     loss,
     overlap,
-    survival,
-    survival_draws,
 )
 from shift3d.render.beams import Beams
 from shift3d.scenes.scene import Scene
@@ -63,13 +63,13 @@ def test_the_limit_is_met_by_albedo_0_9_at_its_range():
 
 def test_sharp_limit():
     sensor = SensorModel(limit_range_m=100.0)
-    assert survival(values(8.9e-5, 9.1e-5, 0.0), sensor).tolist() == [0.0, 1.0, 0.0]
+    assert detection_probability(values(8.9e-5, 9.1e-5, 0.0), sensor).tolist() == [0.0, 1.0, 0.0]
 
 
 def test_an_unknown_limit_loses_nothing():
-    assert survival(values(0.0, 1e-12, 1.0), SensorModel()).tolist() == [1.0, 1.0, 1.0]
+    assert detection_probability(values(0.0, 1e-12, 1.0), SensorModel()).tolist() == [1.0, 1.0, 1.0]
     context = context_of(None)
-    limit = PowerLimit.of(context, "fog")
+    limit = DetectionLoss.of(context, "fog")
     assert not limit.lost(returns_of(context, True), torch.zeros(COUNT), torch.zeros(COUNT)).any()
 
 
@@ -77,15 +77,15 @@ def test_the_streets_lose_by_the_same_law():
     sensor = SensorModel(limit_range_m=math.sqrt(0.9 / HALF_POWER), power_spread=POWER_SPREAD)
     power = torch.logspace(-8, -2, 200, dtype=torch.float64)
     street = 1.0 / (1.0 + np.exp(-(np.log(power.numpy()) - np.log(HALF_POWER)) / POWER_SPREAD))
-    np.testing.assert_allclose(survival(power, sensor).numpy(), street, rtol=1e-12)
-    assert float(survival(values(HALF_POWER), sensor)) == pytest.approx(0.5)
-    assert float(survival(values(0.0), sensor)) == 0.0
+    np.testing.assert_allclose(detection_probability(power, sensor).numpy(), street, rtol=1e-12)
+    assert float(detection_probability(values(HALF_POWER), sensor)) == pytest.approx(0.5)
+    assert float(detection_probability(values(0.0), sensor)) == 0.0
 
 
 def test_gradients_of_power_and_survival():
     sensor = SensorModel(limit_range_m=100.0, power_spread=0.5)
     inputs = [values(0.3, 0.6).requires_grad_(), values(0.4, 0.9).requires_grad_(), values(0.95, 40.0).requires_grad_()]
-    assert torch.autograd.gradcheck(lambda a, c, r: survival(echo_power(a, c, r), sensor), inputs)
+    assert torch.autograd.gradcheck(lambda a, c, r: detection_probability(echo_power(a, c, r), sensor), inputs)
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0])
@@ -94,8 +94,8 @@ def test_losses_on_the_object_and_on_the_scene(spread):
     sensor = SensorModel(limit_range_m=100.0, power_spread=spread)
     context = context_of(sensor)
     power, transmission = torch.full((COUNT,), 1.5e-4, dtype=torch.float64), torch.full((COUNT,), 0.5).double()
-    limit = PowerLimit.of(context, "rain")
-    before, after = (float(survival(values(p), sensor)) for p in (1.5e-4, 0.75e-4))
+    limit = DetectionLoss.of(context, "rain")
+    before, after = (float(detection_probability(values(p), sensor)) for p in (1.5e-4, 0.75e-4))
     for on_object, expected in ((True, after), (False, after / before)):
         kept = 1.0 - float(limit.lost(returns_of(context, on_object), power, transmission).double().mean())
         assert abs(kept - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
@@ -107,11 +107,11 @@ def test_two_losses_in_turn_are_one_by_both(on_object):
     context = context_of(sensor)
     power = torch.full((COUNT,), 2e-4, dtype=torch.float64)
     returns, first, second = returns_of(context, on_object), torch.full((COUNT,), 0.6), torch.full((COUNT,), 0.5)
-    lost = PowerLimit.of(context, "fog").lost(returns, power, first.double())
-    lost |= PowerLimit.of(context, "snow").lost(returns, power * first, second.double())
-    expected = float(survival(values(0.6e-4), sensor))
+    lost = DetectionLoss.of(context, "fog").lost(returns, power, first.double())
+    lost |= DetectionLoss.of(context, "snow").lost(returns, power * first, second.double())
+    expected = float(detection_probability(values(0.6e-4), sensor))
     if not on_object:
-        expected /= float(survival(values(2e-4), sensor))
+        expected /= float(detection_probability(values(2e-4), sensor))
     assert abs(float((~lost).double().mean()) - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
 
 
@@ -120,8 +120,8 @@ def test_ray_drop_after_weather_loses_nobody_that_weather_had_to_keep():
     sensor = SensorModel(limit_range_m=100.0, power_spread=0.4)
     context = context_of(sensor)
     power, transmission = torch.full((COUNT,), 1e-4, dtype=torch.float64), torch.full((COUNT,), 0.7).double()
-    lost = PowerLimit.of(context, "rain").lost(returns_of(context, True), power, transmission)
-    dropped = survival_draws(context) >= survival(power * transmission, sensor)
+    lost = DetectionLoss.of(context, "rain").lost(returns_of(context, True), power, transmission)
+    dropped = detection_draws(context) >= detection_probability(power * transmission, sensor)
     assert torch.equal(lost, dropped)
 
 
@@ -130,7 +130,7 @@ def test_ray_drop_after_weather_loses_nobody_that_weather_had_to_keep():
 def test_without_loss_of_power_the_scene_keeps_everything(spread, power):
     context = context_of(SensorModel(limit_range_m=100.0, power_spread=spread))
     one = torch.ones(COUNT, dtype=torch.float64)
-    assert not PowerLimit.of(context, "fog").lost(returns_of(context, False), power * one, one).any()
+    assert not DetectionLoss.of(context, "fog").lost(returns_of(context, False), power * one, one).any()
 
 
 @pytest.mark.parametrize("power", [0.0, 1e-6])
@@ -138,7 +138,7 @@ def test_without_loss_of_power_the_scene_keeps_everything(spread, power):
 def test_echoes_from_below_the_limit_fade_with_transmission(power, spread, exponent):
     context = context_of(SensorModel(limit_range_m=50.0, power_spread=spread))
     one = torch.ones(COUNT, dtype=torch.float64)
-    lost = PowerLimit.of(context, "fog").lost(returns_of(context, False), power * one, 0.8 * one)
+    lost = DetectionLoss.of(context, "fog").lost(returns_of(context, False), power * one, 0.8 * one)
     expected = 0.8**exponent
     allowed = 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT) + 0.01 * (spread > 0.0)
     assert abs(float((~lost).double().mean()) - expected) < allowed

@@ -10,7 +10,7 @@ from analytic_fields import Frame
 
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
-from shift3d.effects.physics.power import OBJECT_FAR_M, PowerLimit, echo_power
+from shift3d.effects.physics.power import OBJECT_FAR_M, DetectionLoss, echo_power
 from shift3d.effects.ray_drop import EFFECT, STEEP_RAD
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
@@ -138,7 +138,7 @@ def test_judging_after_weather_loses_no_more_than_weather_alone(spread):
     context = context_of(LIMIT_M, spread, 4000)
     before = returns_of(context, range_m=35.0)
     power = echo_power(before.albedo, before.cosine, before.range_m)
-    weather = before.without(PowerLimit.of(context, "fog").lost(before, power, torch.full_like(power, 0.7)))
+    weather = before.without(DetectionLoss.of(context, "fog").lost(before, power, torch.full_like(power, 0.7)))
     both = EFFECT.bind(context)(weather)
     clear = EFFECT.bind(context)(before)
     assert torch.equal(both.returned, weather.returned)

@@ -10,7 +10,7 @@ from analytic_fields import Frame, car, in_frame, rounded
 from shift3d.effects.base import Insertion
 from shift3d.effects.chain import EffectChain
 from shift3d.effects.divergence import PULSE_M, SUB_RAY_SHARE
-from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
+from shift3d.effects.physics.silhouettes import silhouette_rows, sub_rays
 from shift3d.render import Beams, SdfGrid, preset, render
 from shift3d.scenes.facts import EffectSettings
 from shift3d.scenes.scene import Scene
@@ -36,7 +36,7 @@ def test_no_beam_is_overlooked_whose_sub_rays_disagree(yaw: float) -> None:
     beams, angle = Beams.of_main_sensor(scene), SUB_RAY_SHARE * ANGLE / 2
     plain = render(beams, field, theta, frame, EXACT)
     chosen = torch.zeros(len(beams), dtype=torch.bool)
-    chosen[at_silhouettes(Insertion(beams, plain, field, theta, frame, EXACT), angle)] = True
+    chosen[silhouette_rows(Insertion(beams, plain, field, theta, frame, EXACT), angle)] = True
     outer = sub_rays(beams.directions, angle).reshape(-1, 3)
     ends = beams.ranges_m.repeat_interleave(6)
     cast = Beams.from_arrays(ends[:, None] * outer, torch.zeros(3))

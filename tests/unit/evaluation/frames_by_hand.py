@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from shift3d.evaluation.frames import DetectedFrame, Found, Truth
+from shift3d.evaluation.frames import DetectedFrame, FrameDetections, GroundTruth
 
 LENGTH_M = 4.0
 
@@ -36,14 +36,14 @@ def frame(
     number, boxes = len(truth), len(found)
     return DetectedFrame(
         scene,
-        Truth(
+        GroundTruth(
             truth,
             np.array([20] * number if points is None else points, dtype=np.int64),
             np.array([True] * number if counts is None else counts, dtype=bool),
             np.array([-1] * number if difficulty is None else difficulty, dtype=np.int64),
             ("Car",) * number,
         ),
-        Found(
+        FrameDetections(
             found,
             np.array(scores, dtype=float),
             np.array([True] * boxes if labelled is None else labelled, dtype=bool),

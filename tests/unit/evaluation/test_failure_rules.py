@@ -11,7 +11,7 @@ import valid_sweeps
 
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import difference_interval
-from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rule_text, rules_objects, rules_table
+from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rule_objects, rule_text, rules_table
 from shift3d.errors import InputError
 from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules
 from shift3d.store.log_entries import read_log
@@ -214,7 +214,7 @@ def test_a_rule_that_no_other_vehicle_can_be_asked_about_does_not_hold() -> None
 def test_a_shape_of_another_kind_is_no_object_of_the_vehicle_that_the_search_began_at(sweep: Sweep) -> None:
     searched = sweep.solutions["method"] == "adversarial"
     solutions = sweep.solutions.assign(drawn_as=pd.Series("camper", sweep.solutions.index).where(searched))
-    rows = rules_objects(dataclasses.replace(sweep, solutions=solutions))
+    rows = rule_objects(dataclasses.replace(sweep, solutions=solutions))
     assert dict(zip(rows["method"], rows["vehicle"])) == {"baseline": "suv", "random": "suv", "adversarial": "camper"}
 
 
@@ -229,7 +229,7 @@ def test_a_rule_reads_as_a_sentence_of_units() -> None:
 
 
 def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_vehicles(sweep: Sweep) -> None:
-    rows = rules_objects(sweep)
+    rows = rule_objects(sweep)
     assert len(rows) and not rows.duplicated(["task_id", "scored_by", "method", "replicate"]).any()
     shapes = sweep.shapes.set_index(["task_id", "method", "replicate"])["length_m"].to_dict()
     for row in rows.itertuples():
@@ -245,7 +245,7 @@ def test_an_object_that_is_missed_under_two_effects_is_two(sweep: Sweep) -> None
     scores = pd.concat([sweep.scores, again], ignore_index=True)
     tasks = SimpleNamespace(effects_requested_of=lambda ids: [["fog" if "again" in task else "none"] for task in ids])
     both = dataclasses.replace(sweep, plan=SimpleNamespace(tasks=tasks), scores=scores)  # type: ignore[arg-type]
-    assert len(rules_objects(both)) == 2 * len(rules_objects(sweep))
+    assert len(rule_objects(both)) == 2 * len(rule_objects(sweep))
 
 
 def test_what_tasks_share_and_what_no_step_changed_is_one_object(sweep: Sweep) -> None:
@@ -253,7 +253,7 @@ def test_what_tasks_share_and_what_no_step_changed_is_one_object(sweep: Sweep) -
     again = sweep.scores.assign(task_id="again-" + sweep.scores["task_id"])
     lower = again.assign(score=again["score"].where(~searched, 0.9 * again["score"]))
     one, same, two = (
-        rules_objects(dataclasses.replace(sweep, scores=scores))["method"].value_counts()
+        rule_objects(dataclasses.replace(sweep, scores=scores))["method"].value_counts()
         for scores in (sweep.scores, *(pd.concat([sweep.scores, more], ignore_index=True) for more in (again, lower)))
     )
     assert same.to_dict() == one.to_dict()
@@ -267,4 +267,4 @@ def test_what_tasks_share_and_what_no_step_changed_is_one_object(sweep: Sweep) -
         scores=rows.reset_index()[sweep.scores.columns],
         shapes=sweep.shapes[sweep.shapes["method"] == "baseline"].assign(**dict.fromkeys(SIZES, math.nan)),
     )
-    assert "adversarial" not in set(rules_objects(unchanged)["method"])
+    assert "adversarial" not in set(rule_objects(unchanged)["method"])

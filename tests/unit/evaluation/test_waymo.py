@@ -10,7 +10,7 @@ from frames_by_hand import cars, frame, shift_for
 
 from shift3d.evaluation.average_precision import PrecisionRecall
 from shift3d.evaluation.frames import DetectedFrame, compare
-from shift3d.evaluation.waymo import SCORE_CUTOFFS, area_with_gaps, assign, waymo_curve
+from shift3d.evaluation.waymo import SCORE_CUTOFFS, assign, waymo_area, waymo_curve
 
 
 def _curve(
@@ -40,18 +40,18 @@ def test_cutoffs() -> None:
 
 def test_area_of_hand_drawn_curves() -> None:
     # A single point: its precision holds down to recall 0, beyond it there is nothing.
-    assert area_with_gaps([0.04], [0.5]) == pytest.approx(0.04 * 0.5)
+    assert waymo_area([0.04], [0.5]) == pytest.approx(0.04 * 0.5)
     # Neighbours nearer than 0.05: trapezoids. 0.02 at 0.8, then a slope from 0.8 to 0.6 over 0.04.
-    assert area_with_gaps([0.02, 0.06], [0.8, 0.6]) == pytest.approx(0.02 * 0.8 + 0.04 * 0.7)
+    assert waymo_area([0.02, 0.06], [0.8, 0.6]) == pytest.approx(0.02 * 0.8 + 0.04 * 0.7)
     # From 0.2 to 1 nothing was measured: the lower precision holds down to 0.25, one slope is left, then 0.2 at 0.1.
     wide = 0.05 * 0.75 + 0.05 * (0.05 + 0.1) / 2 + 0.2 * 0.1
-    assert area_with_gaps([0.2, 1.0], [0.1, 0.05]) == pytest.approx(wide)
+    assert waymo_area([0.2, 1.0], [0.1, 0.05]) == pytest.approx(wide)
     # A local minimum is lifted to the precision beyond it; the order of points is of no matter.
-    assert area_with_gaps([1.0, 0.4, 0.2], [0.05, 0.0, 0.1]) == pytest.approx(wide)
+    assert waymo_area([1.0, 0.4, 0.2], [0.05, 0.0, 0.1]) == pytest.approx(wide)
     # At equal recall the higher precision stays.
-    assert area_with_gaps([0.04, 0.04], [0.2, 0.5]) == pytest.approx(0.04 * 0.5)
-    assert area_with_gaps([], []) == 0.0
-    assert area_with_gaps([0.0], [1.0]) == 0.0
+    assert waymo_area([0.04, 0.04], [0.2, 0.5]) == pytest.approx(0.04 * 0.5)
+    assert waymo_area([], []) == 0.0
+    assert waymo_area([0.0], [1.0]) == 0.0
 
 
 def test_three_vehicles_and_four_detections_by_hand() -> None:

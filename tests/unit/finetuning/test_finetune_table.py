@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 from shift3d.analysis.detector_evaluation import write_evaluation
-from shift3d.evaluation.breakdown import Area
-from shift3d.evaluation.frames import DetectedFrame, Found, Truth
+from shift3d.evaluation.breakdown import AveragePrecisionDraws
+from shift3d.evaluation.frames import DetectedFrame, FrameDetections, GroundTruth
 from shift3d.finetuning.page import finetune_page, gains_table
 from shift3d.finetuning.report import natural_areas
 from shift3d.finetuning.table import ADAPTIVE, FINETUNE, TUNED, VANILLA, finetune_table, natural_rows, seed_means
-from shift3d.training.detector.detect_scenes import Answer, write_answer
+from shift3d.training.detector.detect_scenes import SceneDetections, write_scene_detections
 
 SCENES = 12
 
@@ -91,8 +91,8 @@ def test_a_single_scene_has_no_interval() -> None:
     assert table[["low", "high", "gain_low", "gain_high"]].isna().all().all() and table["value"].notna().all()
 
 
-def areas(value: float | None, drawn: list[float]) -> dict[tuple[str, str], Area]:
-    return {("AP", "BEV"): Area(value, drawn, 40), ("AP", "3D"): Area(None, [], 0)}
+def areas(value: float | None, drawn: list[float]) -> dict[tuple[str, str], AveragePrecisionDraws]:
+    return {("AP", "BEV"): AveragePrecisionDraws(value, drawn, 40), ("AP", "3D"): AveragePrecisionDraws(None, [], 0)}
 
 
 def test_natural_gains_are_paired_over_the_same_draws() -> None:
@@ -136,12 +136,12 @@ def test_models_are_compared_over_the_scenes_that_they_were_last_evaluated_on(tm
     for model, evaluated in (("before", 6), ("after", 3)):
         answers = []
         for scene in range(6):
-            truth = Truth(box, np.array([50]), np.array([True]), np.array([-1]), ("Car",))
-            found = Found(box + 30.0 * (scene >= 3), np.array([0.9]), np.array([True]), np.array([np.nan]))
+            truth = GroundTruth(box, np.array([50]), np.array([True]), np.array([-1]), ("Car",))
+            found = FrameDetections(box + 30.0 * (scene >= 3), np.array([0.9]), np.array([True]), np.array([np.nan]))
             folder = tmp_path / model / "scenes"
             folder.mkdir(parents=True, exist_ok=True)
-            answers.append(Answer(DetectedFrame(str(scene), truth, found), 1.0, 1.0))
-            write_answer(folder / f"{scene}.npz", answers[-1])
+            answers.append(SceneDetections(DetectedFrame(str(scene), truth, found), 1.0, 1.0))
+            write_scene_detections(folder / f"{scene}.npz", answers[-1])
         write_evaluation("sst", "street", answers[:evaluated], tmp_path / model)
     areas = natural_areas({(VANILLA, None): tmp_path / "before", (TUNED, 0): tmp_path / "after"})
     assert [row["value"] for row in natural_rows(areas)] == pytest.approx([1.0] * len(natural_rows(areas)))

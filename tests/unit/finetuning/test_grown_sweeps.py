@@ -14,7 +14,7 @@ from shift3d.finetuning.rescoring import RESCORED
 
 
 def test_objects_of_tasks_that_were_retried_are_scored_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tuned = report.Tuned("finetuned", 0, tmp_path / "finetuned-0", "pointpillars")
+    tuned = report.TunedModel("finetuned", 0, tmp_path / "finetuned-0", "pointpillars")
     tuned.folder.mkdir()
     tuned.weights.write_bytes(b"weights")
     tasks, scored, settings = ["t0"], [], ["shape"]
@@ -28,7 +28,7 @@ def test_objects_of_tasks_that_were_retried_are_scored_too(tmp_path: Path, monke
         scored.append(folder.name)
         return table(folder)
 
-    monkeypatch.setattr(report, "object_scores", table)
+    monkeypatch.setattr(report, "attacked_scores", table)
     monkeypatch.setattr(report, "rescored", rescored)
     for grown in (True, False):
         report.score_held_out(tmp_path, tuned)

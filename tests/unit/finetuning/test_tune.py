@@ -19,7 +19,7 @@ from shift3d.cli.commands.detectors import evaluate, train
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
 from shift3d.finetuning.objects import stable_objects
-from shift3d.finetuning.rescoring import object_scores, rescored
+from shift3d.finetuning.rescoring import attacked_scores, rescore_objects
 from shift3d.finetuning.tune import RATE, object_scenes, tuning_recipe
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.settings.catalogue.detector_files import file_hash
@@ -86,7 +86,7 @@ def test_some_steps_on_one_object_raise_its_score(attacked: Path, tmp_path: Path
     found = stable_objects(attacked, "pointpillars", file_hash(SHIPPED), "adversarial")
     unseen = weights.with_name("no_provenance.safetensors")
     unseen.write_bytes(weights.read_bytes())
-    scores = rescored(attacked, "pointpillars", unseen).to_pandas().set_index(["task_id", "method"])["score"]
+    scores = rescore_objects(attacked, "pointpillars", unseen).to_pandas().set_index(["task_id", "method"])["score"]
     assert scores[found.objects[0].key[:2]] > found.objects[0].score + 0.02
 
 
@@ -106,13 +106,13 @@ def test_a_training_scene_holds_the_object_as_it_was_attacked(attacked: Path, tm
 
 
 def test_weights_of_the_sweep_give_its_own_scores(held_out: Path) -> None:
-    assert rescored(held_out, "pointpillars", SHIPPED).equals(object_scores(held_out, "pointpillars", SHIPPED))
+    assert rescore_objects(held_out, "pointpillars", SHIPPED).equals(attacked_scores(held_out, "pointpillars", SHIPPED))
 
 
 def test_an_adaptive_attack_on_weights_that_were_replaced_since_is_no_score_of_theirs(held_out: Path) -> None:
     other = SHIPPED.with_name("sst_small.safetensors")
     with pytest.raises(InputError, match=f"attacked other weights of pointpillars than {other} holds"):
-        object_scores(held_out, "pointpillars", other)
+        attacked_scores(held_out, "pointpillars", other)
 
 
 def test_a_control_is_tuned_on_the_tasks_that_the_tuning_is(attacked: Path) -> None:
@@ -133,7 +133,7 @@ def test_a_control_is_tuned_on_the_tasks_that_the_tuning_is(attacked: Path) -> N
 def test_scenes_that_were_tuned_on_are_refused_by_name(attacked: Path, weights: Path, tmp_path: Path) -> None:
     name = "street-train-hdl64-000000"
     with pytest.raises(InputError, match=f"was fine-tuned on {name}"):
-        rescored(attacked, "pointpillars", weights)
+        rescore_objects(attacked, "pointpillars", weights)
     words = ["detector=pointpillars", "sensor=hdl64", "split=train", "count=1", f"weights={weights}"]
     with pytest.raises(InputError, match=f"was fine-tuned on {name}"):
         run_command(evaluate.COMMAND, [*words, f"out={tmp_path / 'natural'}"])
@@ -150,7 +150,7 @@ def test_what_weights_were_tuned_on_is_not_forgotten_by_a_training_from_them(
     facts = json.loads(again.with_suffix(".json").read_text())
     assert facts["before"] == json.loads(weights.with_suffix(".json").read_text())
     with pytest.raises(InputError, match="was fine-tuned on street-train-hdl64-000000"):
-        rescored(attacked, "pointpillars", again)
+        rescore_objects(attacked, "pointpillars", again)
 
 
 def test_unusable_sweeps_are_one_clear_line(attacked: Path, held_out: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shift3d.naturalness.calibration import FEWEST, NATURAL_PERCENTILE, Calibration
+from shift3d.naturalness.calibration import MIN_MEMBERS, NATURAL_PERCENTILE, Calibration
 
 values = st.lists(st.floats(0.0, 100.0), min_size=20, max_size=60)
 
@@ -63,7 +63,7 @@ def test_what_is_no_number_is_farther_than_all() -> None:
 
 
 def test_of_the_fewest_members_the_farthest_is_not_natural() -> None:
-    for members in (FEWEST, 40, 60, 400):
+    for members in (MIN_MEMBERS, 40, 60, 400):
         distances = np.arange(1.0, members + 1.0)
         usual = Calibration(distances, distances)
         within = sum(usual.percentile(far, far) <= NATURAL_PERCENTILE for far in distances)

@@ -14,8 +14,8 @@ from vehicles_by_hand import Meshes, legged, legged_boxes, measures, on_legs, re
 
 from shift3d.errors import InputError
 from shift3d.naturalness.decoded import decoded_mesh
-from shift3d.naturalness.measure import NO_SURFACE, Naturalness, largest_piece
-from shift3d.naturalness.reference import likely_nearest
+from shift3d.naturalness.measure import NO_SURFACE_MEASURE, NaturalnessMeter, largest_piece
+from shift3d.naturalness.reference import nearest_by_fingerprint
 from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_vehicle
 from shift3d.vehicles.vehicle import Vehicle
@@ -26,7 +26,7 @@ VEHICLE = Vehicle("legs", np.zeros(4, np.float32), SCALE_M, np.eye(3), np.zeros(
 
 
 @pytest.fixture(scope="module")
-def set_of_20() -> Naturalness:
+def set_of_20() -> NaturalnessMeter:
     return measures(legged(LENGTHS))
 
 
@@ -52,14 +52,14 @@ class Boxes:
         return distance
 
 
-def test_a_member_is_its_own_nearest_at_distance_zero(set_of_20: Naturalness) -> None:
+def test_a_member_is_its_own_nearest_at_distance_zero(set_of_20: NaturalnessMeter) -> None:
     found = set_of_20.of(on_legs(length_m=4.6))
     assert found.nearest is not None and found.nearest.name == "member-10"
     assert found.nearest.mean_cm < 0.05 and found.nearest.p95_cm < 0.1
     assert found.percentile == 0.0 and found.natural
 
 
-def test_a_shape_between_two_members_is_as_far_as_its_ends_are(set_of_20: Naturalness) -> None:
+def test_a_shape_between_two_members_is_as_far_as_its_ends_are(set_of_20: NaturalnessMeter) -> None:
     """3 cm longer than a member: 1.5 cm at both ends, which are 2 x 1.8 x 1.1 m of the area."""
     found = set_of_20.of(on_legs(length_m=4.63))
     assert found.nearest is not None and found.nearest.name == "member-10"
@@ -68,14 +68,14 @@ def test_a_shape_between_two_members_is_as_far_as_its_ends_are(set_of_20: Natura
     assert found.natural, "members are 10 cm from each other"
 
 
-def test_a_member_left_out_lies_at_the_median(set_of_20: Naturalness) -> None:
+def test_a_member_left_out_lies_at_the_median(set_of_20: NaturalnessMeter) -> None:
     """Members at equal steps all have the same distance: nobody lies nearer than the least of them."""
     left_out = set_of_20.reference.calibration
     assert left_out.mean_cm.std() < 0.15 * left_out.mean_cm.mean()
     assert measures(legged([*np.delete(LENGTHS, 10).tolist(), 3.5])).of(on_legs(length_m=4.6)).natural
 
 
-def test_far_from_all_members_is_the_hundredth_percentile(set_of_20: Naturalness) -> None:
+def test_far_from_all_members_is_the_hundredth_percentile(set_of_20: NaturalnessMeter) -> None:
     fin = trimesh.creation.box((2.5, 0.1, 0.4), trimesh.transformations.translation_matrix((0, 0, 1.5)))
     found = set_of_20.of(trimesh.util.concatenate([on_legs(length_m=4.6), fin]))
     assert found.percentile == 100.0 and not found.natural and found.out_of_range == ()
@@ -96,7 +96,7 @@ def test_sizes_that_no_vehicle_has_are_unnatural_even_for_a_member() -> None:
     assert not found.within(100.0)
 
 
-def test_a_mirrored_asymmetric_vehicle_is_another_one(set_of_20: Naturalness) -> None:
+def test_a_mirrored_asymmetric_vehicle_is_another_one(set_of_20: NaturalnessMeter) -> None:
     block = trimesh.creation.box((1.0, 0.3, 0.3), trimesh.transformations.translation_matrix((0.5, 0.7, 1.45)))
     left = trimesh.util.concatenate([on_legs(), block])
     right = left.copy()
@@ -129,8 +129,8 @@ def test_the_prefilter_finds_the_member_that_brute_force_finds(vehicles: list[tr
         exact = found.nearest(shape, left_out=number, candidates=len(found))
         assert found.nearest(shape, left_out=number).mean_cm <= exact.mean_cm + 0.01
         own = found.fingerprints[number]
-        assert number not in likely_nearest(own, found.fingerprints, len(found), number)
-        assert likely_nearest(own, found.fingerprints, 1)[0] == number
+        assert number not in nearest_by_fingerprint(own, found.fingerprints, len(found), number)
+        assert nearest_by_fingerprint(own, found.fingerprints, 1)[0] == number
 
 
 def test_the_same_shape_gives_the_same_numbers(vehicles: list[trimesh.Trimesh]) -> None:
@@ -138,7 +138,7 @@ def test_the_same_shape_gives_the_same_numbers(vehicles: list[trimesh.Trimesh]) 
     assert measures(source).of(vehicles[30]) == measures(source).of(vehicles[30].copy())
 
 
-def test_a_code_is_measured_by_what_it_decodes_to(set_of_20: Naturalness) -> None:
+def test_a_code_is_measured_by_what_it_decodes_to(set_of_20: NaturalnessMeter) -> None:
     decoder: Any = Boxes(legged_boxes(length_m=4.6))
     found = set_of_20.of_code(VEHICLE, decoder, np.zeros(4, np.float32))
     assert found.nearest is not None and found.nearest.name == "member-10" and found.nearest.mean_cm < 1.0
@@ -158,12 +158,12 @@ def test_the_quick_surface_is_the_thorough_one_to_a_centimetre() -> None:
     assert quick.size_m == pytest.approx(thorough.size_m, abs=0.01)
 
 
-def test_a_code_without_a_surface_is_unnatural(set_of_20: Naturalness) -> None:
+def test_a_code_without_a_surface_is_unnatural(set_of_20: NaturalnessMeter) -> None:
     decoder: Any = Boxes([])
     found = set_of_20.of_code(VEHICLE, decoder, np.zeros(4, np.float32))
-    assert found == NO_SURFACE and found.percentile == 100.0 and not found.natural and not found.within(100.0)
+    assert found == NO_SURFACE_MEASURE and found.percentile == 100.0 and not found.natural and not found.within(100.0)
     broken: Any = Boxes(legged_boxes())
-    assert set_of_20.of_code(VEHICLE, broken, np.full(4, np.nan, np.float32)) == NO_SURFACE, "NaN is no surface"
+    assert set_of_20.of_code(VEHICLE, broken, np.full(4, np.nan, np.float32)) == NO_SURFACE_MEASURE, "NaN is no surface"
     with pytest.raises(InputError, match="of the same decoder"):
         set_of_20.of_code(VEHICLE, broken, np.zeros(5, np.float32))
 
@@ -174,7 +174,7 @@ def test_a_code_without_a_surface_is_unnatural(set_of_20: Naturalness) -> None:
     ids=["a small part", "a large part", "a part on bars thinner than the grid"],
 )
 def test_a_shape_with_more_than_a_tenth_of_its_surface_loose_is_no_vehicle(
-    set_of_20: Naturalness, side: float, above_m: float, natural: bool
+    set_of_20: NaturalnessMeter, side: float, above_m: float, natural: bool
 ) -> None:
     """A cube that floats over a member; whatever the percentile allows."""
     loose = (0.0, 0.0, 1.3 + above_m + side / 2), (side, side, side)
@@ -186,7 +186,7 @@ def test_a_shape_with_more_than_a_tenth_of_its_surface_loose_is_no_vehicle(
     assert found.within(100.0) == natural and found.out_of_range == (() if natural else ("largest_piece",))
 
 
-def test_pieces_of_a_mesh_may_touch_without_sharing_corners(set_of_20: Naturalness) -> None:
+def test_pieces_of_a_mesh_may_touch_without_sharing_corners(set_of_20: NaturalnessMeter) -> None:
     assert set_of_20.of(on_legs()).largest_piece is None
     body, beside = trimesh.creation.box((2.0, 1.0, 1.0)), trimesh.creation.box((1.0, 1.0, 1.0))
     for apart_m, together in ((0.1, 1.0), (0.3, 10 / 16)):

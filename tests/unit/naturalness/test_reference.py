@@ -12,7 +12,7 @@ from vehicles_by_hand import Meshes, legged, on_legs
 
 from shift3d.errors import InputError
 from shift3d.naturalness.build import build_reference, load_reference, reference_file
-from shift3d.naturalness.measure import Naturalness
+from shift3d.naturalness.measure import NaturalnessMeter
 from shift3d.naturalness.reference import read_reference
 from shift3d.naturalness.sources import MeshReference, SetReference, WideReference, reference_source, source_hash
 from shift3d.store.user_cache import program_digest, source_digest
@@ -48,11 +48,11 @@ def test_a_folder_of_meshes_is_a_reference_set(tmp_path: Path) -> None:
 def test_a_set_is_built_once_and_kept_in_one_file(tmp_path: Path) -> None:
     source = MeshReference(folder_of(tmp_path, 21), METRES)
     shape = on_legs(length_m=4.44)
-    before = Naturalness(load_reference(source, "here")).of(shape)
+    before = NaturalnessMeter(load_reference(source, "here")).of(shape)
     (kept,) = (tmp_path / "cache").rglob("*.safetensors")
     assert kept == reference_file(source)
     content = kept.read_bytes()
-    assert Naturalness(load_reference(source, "here")).of(shape) == before
+    assert NaturalnessMeter(load_reference(source, "here")).of(shape) == before
     kept.unlink()
     load_reference(source, "here")
     assert kept.read_bytes() == content, "the same bytes when it is made again"

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from shift3d.naturalness.build import build_reference
-from shift3d.naturalness.measure import Naturalness
+from shift3d.naturalness.measure import NaturalnessMeter
 from shift3d.naturalness.reference import ReferenceSet
 from shift3d.naturalness.sources import Build
 
@@ -64,5 +64,5 @@ def reference(source: Meshes) -> ReferenceSet:
     return ReferenceSet([member.name for member in members], prints, numbered.__getitem__, calibration)
 
 
-def measures(source: Meshes) -> Naturalness:
-    return Naturalness(reference(source))
+def measures(source: Meshes) -> NaturalnessMeter:
+    return NaturalnessMeter(reference(source))

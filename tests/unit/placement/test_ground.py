@@ -15,7 +15,7 @@ from hills import SENSOR_M, patch, raised, slope_scan
 from shift3d.geometry.se3 import scene_from_object, scene_R_object
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.ground import MAX_SLOPE, GroundPlane, fit_ground, ground_under
-from shift3d.placement.sampling import Placement, PlacementLimits, Site, place
+from shift3d.placement.sampling import Placement, PlacementContext, PlacementLimits, place
 from shift3d.render import Beams, preset
 from shift3d.scenes.argoverse2.scenes import Argoverse2Scenes
 from shift3d.scenes.kitti.scenes import KittiScenes
@@ -49,7 +49,9 @@ def stood(slopes: tuple[float, float], seed: int, nominal_z_m: float = -SENSOR_M
     limits = PlacementLimits(8.0, 14.0, sector=(0.0, 1.0), attempts=40)
     rules = Constraints(min_object_points=100)
     crate = in_frame(box((2.0, 0.9, 0.7)), frame)
-    placed = place(Site(beams, nominal_z_m), crate, frame, np.random.default_rng(seed), limits, rules, settings)
+    placed = place(
+        PlacementContext(beams, nominal_z_m), crate, frame, np.random.default_rng(seed), limits, rules, settings
+    )
     assert isinstance(placed, Placement) and placed.check.valid
     return placed
 

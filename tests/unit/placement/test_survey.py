@@ -10,7 +10,7 @@ from analytic_fields import ground_scan
 from hills import slope_scan
 
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import REFUSALS, PlacementLimits, Site
+from shift3d.placement.sampling import REFUSALS, PlacementContext, PlacementLimits
 from shift3d.placement.survey import Survey, survey
 from shift3d.render import Beams
 from shift3d.scenes.sets import StreetScenes
@@ -22,7 +22,7 @@ LIMITS = PlacementLimits(9.0, 12.0, sector=(0.0, 0.4), attempts=25)
 
 def tried(points: np.ndarray, others: torch.Tensor | None = None, fewest: int = 150) -> Survey:
     beams, rules = Beams.from_arrays(points.astype(np.float32), np.zeros(3)), Constraints(min_object_points=fewest)
-    return survey(Site(beams, -1.73, others), LIMITS, rules)
+    return survey(PlacementContext(beams, -1.73, others), LIMITS, rules)
 
 
 def counts(found: Survey) -> dict[str, int]:
@@ -56,8 +56,8 @@ def test_each_reason_is_found_where_it_holds() -> None:
 def test_no_vehicle_stands_where_the_data_set_labels_nothing() -> None:
     beams, rules = Beams.from_arrays(plain().astype(np.float32), np.zeros(3)), Constraints(min_object_points=150)
     everywhere, elsewhere = plain()[:, :2], plain()[plain()[:, 0] < 0.0, :2]
-    assert counts(survey(Site(beams, -1.73, unlabelled=everywhere), LIMITS, rules)) == {"unlabelled": 25}
-    assert counts(survey(Site(beams, -1.73, unlabelled=elsewhere), LIMITS, rules)) == {"free": 25}
+    assert counts(survey(PlacementContext(beams, -1.73, unlabelled=everywhere), LIMITS, rules)) == {"unlabelled": 25}
+    assert counts(survey(PlacementContext(beams, -1.73, unlabelled=elsewhere), LIMITS, rules)) == {"free": 25}
 
 
 def test_a_survey_is_repeated_and_counted_in_words() -> None:

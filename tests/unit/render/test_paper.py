@@ -71,9 +71,9 @@ def test_what_a_draft_leaves_out() -> None:
 @pytest.fixture
 def published(real_data: Callable[[str], Path]) -> tuple[Field, Field, Frame]:
     """A trained 8 x 512 decoder with one of its cars: float32, float64, frame."""
-    from shift3d.sdf.foreign import load_experiment
+    from shift3d.sdf.deepsdf_checkpoint import load_deepsdf_checkpoint
 
-    experiment = load_experiment(real_data("decoder"))
+    experiment = load_deepsdf_checkpoint(real_data("decoder"))
     decoder, codes = experiment.decoder, experiment.codes
     code = codes[45]
     axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])

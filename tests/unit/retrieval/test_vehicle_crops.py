@@ -10,7 +10,7 @@ import pytest
 from known_shapes import LENGTH_M, PER_LENGTH, coordinates, scene_of, subspace, surface_points, towards
 
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.retrieval.crops import FEWEST_POINTS, FLOOR_M, KEPT_POINTS, Crop, crop_vehicles, seen_sides
+from shift3d.retrieval.crops import FEWEST_POINTS, FLOOR_M, KEPT_POINTS, Crop, crop_vehicles, visible_sides
 from shift3d.retrieval.reconstruction import Reconstructor, vehicle_of
 from shift3d.scenes.sets import StreetScenes
 from shift3d.vehicles.sources import VehicleSet
@@ -84,8 +84,8 @@ def test_one_side_only_is_flagged() -> None:
     crop = only(flank)
     assert crop.sides == ("left",)
     assert "one_side" in reconstructor().reconstruct(crop).flags
-    assert seen_sides(flank * (1, -1, 1), BOX[3:6] / 2) == ("right",)
-    assert seen_sides(np.zeros((0, 3)), BOX[3:6] / 2) == ()
+    assert visible_sides(flank * (1, -1, 1), BOX[3:6] / 2) == ("right",)
+    assert visible_sides(np.zeros((0, 3)), BOX[3:6] / 2) == ()
 
 
 @pytest.mark.parametrize("shift", [(0.9, 0.0, 0.0), (0.0, 0.6, 0.0)])

@@ -15,7 +15,7 @@ from argoverse2_log import BOX, COLUMNS, DOWN, LOG, PERIOD, SPEED_M_S, START, UP
 from shift3d.errors import InputError
 from shift3d.scenes.argoverse2.scenes import Argoverse2Scenes
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.sets import place_of
+from shift3d.scenes.sets import independent_group_of
 
 NAME = f"{LOG}-{START + PERIOD}"
 # Half a step of float16 is at most 2**-11 of the number, which is stored in the vehicle frame.
@@ -90,7 +90,9 @@ def test_sweeps_are_listed_in_order_and_chosen(tmp_path: Path) -> None:
     log = write_log(tmp_path, sweeps=3, labels=False)
     names = [f"{LOG}-{START + sweep * PERIOD}" for sweep in range(3)]
     assert Argoverse2Scenes(tmp_path).names() == Argoverse2Scenes(log).names() == names
-    assert {place_of("argoverse2", name) for name in names} == {f"argoverse2/{LOG}"}, "a tenth of a second apart"
+    assert {independent_group_of("argoverse2", name) for name in names} == {f"argoverse2/{LOG}"}, (
+        "a tenth of a second apart"
+    )
     assert Argoverse2Scenes(tmp_path, every=2).names() == names[::2]
     assert Argoverse2Scenes(tmp_path, count=1).names() == names[:1]
     assert Argoverse2Scenes(tmp_path, names=names[1:]).names() == names[1:]

@@ -18,7 +18,7 @@ from shift3d.geometry.boxes import corners_bev
 from shift3d.geometry.rigid import inverse, moved
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.ground import ground_under
-from shift3d.placement.sampling import Placement, PlacementLimits, Site, place
+from shift3d.placement.sampling import Placement, PlacementContext, PlacementLimits, place
 from shift3d.placement.survey import survey
 from shift3d.render import Beams
 from shift3d.scenes.argoverse2.log import city_SE3_ego, lidar_mounts
@@ -130,15 +130,15 @@ def test_places_keep_to_the_road_and_start_from_the_maps_height() -> None:
     limits, rules = PlacementLimits(9.0, 12.0, attempts=60), Constraints(min_object_points=100)
     road = np.array([[-50.0, -8.0], [50.0, -8.0], [50.0, 8.0], [-50.0, 8.0]])
     known = GroundMap.of(np.zeros((0, 3)), [road])
-    found = survey(Site(beams, -1.73, ground_map=known), limits, rules)
+    found = survey(PlacementContext(beams, -1.73, ground_map=known), limits, rules)
     assert set(found.outcomes) == {"free", "off_road"}
     assert (np.abs(found.xy_m[found.free, 1]) < 7.5).all()
     assert (np.abs(found.xy_m[~found.free, 1]) > 5.0).all()
     # The nominal height alone finds no ground here; the map's does.
     xy = np.stack(np.meshgrid(np.arange(-40.0, 40.0, 0.3), np.arange(-40.0, 40.0, 0.3)), axis=-1).reshape(-1, 2)
     ground = np.column_stack((xy, np.full(len(xy), -1.73)))
-    wrong = survey(Site(beams, 9.0), limits, rules)
-    right = survey(Site(beams, 9.0, ground_map=GroundMap.of(ground, None)), limits, rules)
+    wrong = survey(PlacementContext(beams, 9.0), limits, rules)
+    right = survey(PlacementContext(beams, 9.0, ground_map=GroundMap.of(ground, None)), limits, rules)
     assert not wrong.free.any() and right.free.all()
 
 
@@ -148,7 +148,7 @@ def test_a_vehicle_is_put_on_the_road(seed: int) -> None:
     road = GroundMap.of(np.zeros((0, 3)), [np.array([[-50.0, 5.0], [50.0, 5.0], [50.0, 13.0], [-50.0, 13.0]])])
     beams, crate = Beams.from_arrays(*ground_scan(rings=64, columns=900)), in_frame(box((2.0, 0.9, 0.7)), frame)
     rng, limits = np.random.default_rng(seed), PlacementLimits(9.0, 12.0, attempts=80)
-    placed = place(Site(beams, -1.73, ground_map=road), crate, frame, rng, limits, rules)
+    placed = place(PlacementContext(beams, -1.73, ground_map=road), crate, frame, rng, limits, rules)
     assert isinstance(placed, Placement) and placed.check.valid
     footprint = corners_bev(np.array([[*placed.theta[:3].tolist(), 4.0, 1.8, 1.4, float(placed.theta[3])]]))[0]
     assert ((footprint[:, 1] > 4.5) & (footprint[:, 1] < 13.5)).all()

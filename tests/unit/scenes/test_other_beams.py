@@ -13,7 +13,7 @@ from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.options import BEAM_NAMES, StreetOptions
-from shift3d.scenes.street.sensors import BEAMS, companions
+from shift3d.scenes.street.sensors import BEAMS, other_heads
 
 PUBLISHED = {  # beams of a head, highest and lowest elevation in degrees, the finest step between two beams
     "hdl64": (64, 2.0, -24.33, 1 / 3),
@@ -53,7 +53,7 @@ def test_every_beam_is_that_of_the_maker(name: str, published: np.ndarray, atol:
 
 
 def test_the_pair_is_a_head_and_the_same_upside_down_below_it() -> None:
-    ((lower, mount),) = companions(BEAMS["av2_pair"], 0.0)
+    ((lower, mount),) = other_heads(BEAMS["av2_pair"], 0.0)
     np.testing.assert_allclose(np.sort(lower.elevations_rad), np.sort(-np.array(BEAMS["av2_pair"].elevations_rad)))
     np.testing.assert_allclose(mount.origin_m, (0.0, 0.0, -0.115))
     made = scene("av2_pair")

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from shift3d.scenes.street.behind import SEPARATION_M, second_returns
-from shift3d.scenes.street.build.item import Item, stand_on
-from shift3d.scenes.street.build.things import Leaves
+from shift3d.scenes.street.build.item import Item, items_overlapping
+from shift3d.scenes.street.build.item_geometry import Leaves
 from shift3d.scenes.street.build.world import World
 from shift3d.scenes.street.raycast import Hits, Intersector, Sweep, hit_instance, hit_leaves
 from shift3d.scenes.street.returns import Echoes, Paint, finish, sensor_model
+from shift3d.scenes.street.second_hits import SEPARATION_M, second_returns
 from shift3d.scenes.street.sensors import AT_ORIGIN, HDL64, SHORT32, WAYMO_TOP, Mount, Sensor
 from shift3d.scenes.street.shapes import ALBEDO, Material, Part, box, ellipsoid
 
@@ -219,5 +219,5 @@ def test_what_stands_in_a_rectangle() -> None:
         return Item("vehicle", x, y, heading, (4.0, 2.0, 1.5))
 
     items = (at(6.0, 0.0), at(6.0, 2.3), at(6.0, 2.3, np.pi / 2), at(-6.0, 0.0), at(9.0, 0.0))
-    assert stand_on(items, 4.0, 0.0, 4.0, 2.4).tolist() == [True, False, True, False, False]
-    assert stand_on((), 4.0, 0.0, 4.0, 2.4).tolist() == []
+    assert items_overlapping(items, 4.0, 0.0, 4.0, 2.4).tolist() == [True, False, True, False, False]
+    assert items_overlapping((), 4.0, 0.0, 4.0, 2.4).tolist() == []

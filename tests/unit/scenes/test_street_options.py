@@ -10,7 +10,7 @@ import yaml
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
-from shift3d.scenes.sets import StreetScenes, place_of
+from shift3d.scenes.sets import StreetScenes, independent_group_of
 from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.settings.schema.scenes import StreetConfig, StreetOptionsConfig, scene_set
 
@@ -63,11 +63,13 @@ def test_a_tag_tells_the_options(values: dict[str, Any], tag: str) -> None:
 def test_a_street_lies_in_one_place_whatever_its_options(values: dict[str, Any]) -> None:
     for seed, tail in ((0, ""), (3, "-seed3")):
         scenes = StreetScenes("mixed", seed, 2, options=StreetOptions(**values))
-        places = [place_of(scenes.dataset, name) for name in scenes.names()]
+        places = [independent_group_of(scenes.dataset, name) for name in scenes.names()]
         expected = ["street-hdl64/street-test-hdl64-000000", "street-waymo_top/street-test-waymo_top-000001"]
         assert places == [f"{place}{tail}" for place in expected]
-        assert places[0] == place_of(f"street-hdl64{scenes.options.tag}", scenes.names()[0]), "a set of one sensor"
-    assert place_of("kitti", "street-000001-fog") == "kitti/street-000001-fog"
+        assert places[0] == independent_group_of(f"street-hdl64{scenes.options.tag}", scenes.names()[0]), (
+            "a set of one sensor"
+        )
+    assert independent_group_of("kitti", "street-000001-fog") == "kitti/street-000001-fog"
 
 
 @pytest.mark.parametrize(("values", "what", "remedy"), WRONG)

@@ -14,8 +14,8 @@ from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.street.assemble import street_scene
-from shift3d.scenes.street.behind import SEPARATION_M
 from shift3d.scenes.street.options import StreetOptions
+from shift3d.scenes.street.second_hits import SEPARATION_M
 from shift3d.scenes.street.sensors import SENSORS, SHORT32
 
 RECORDED = Path(__file__).parent / "streets_without_options.json"

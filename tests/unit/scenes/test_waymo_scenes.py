@@ -27,7 +27,7 @@ from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.render.beams import Beams
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.sets import place_of
+from shift3d.scenes.sets import independent_group_of
 from shift3d.scenes.waymo.range_image import filled_poses
 from shift3d.scenes.waymo.scenes import WaymoScenes
 
@@ -134,7 +134,7 @@ def test_frames_are_listed_in_order_and_chosen(segment: tuple[Path, Segment]) ->
     root, _ = segment
     names = [f"{SEGMENT}-{START + frame * PERIOD}" for frame in range(3)]
     assert WaymoScenes(root).names() == names
-    assert {place_of("waymo", name) for name in names} == {f"waymo/{SEGMENT}"}, "a tenth of a second apart"
+    assert {independent_group_of("waymo", name) for name in names} == {f"waymo/{SEGMENT}"}, "a tenth of a second apart"
     assert WaymoScenes(root, every=2).names() == names[::2]
     assert WaymoScenes(root, count=2).names() == names[:2]
     assert WaymoScenes(root, names=names[2:]).names() == names[2:]

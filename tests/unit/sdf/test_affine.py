@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from shift3d.processor import has_fast_bfloat16, has_wide_float32, pad_to_bucket
+from shift3d.processor import has_fast_bfloat16, onednn_float32_is_faster, pad_to_bucket
 from shift3d.sdf import affine as module
 from shift3d.sdf.affine import affine, padded_to_bucket
 
@@ -13,7 +13,7 @@ def wide(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Non
     """Each library in turn; oneDNN multiplies on any processor, whether it is the faster there or not."""
     if request.param and not torch.backends.mkldnn.is_available():
         pytest.skip("torch was built without oneDNN")
-    monkeypatch.setattr(module, "has_wide_float32", lambda: request.param)
+    monkeypatch.setattr(module, "onednn_float32_is_faster", lambda: request.param)
 
 
 def parts(rows: int, inputs: int, outputs: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -77,8 +77,8 @@ def test_few_points_are_filled_up_to_16() -> None:
 def test_a_padded_batch_changes_no_value_and_holds_no_gradient_back(
     dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if not has_wide_float32():
-        monkeypatch.setattr(module, "has_wide_float32", lambda: True)
+    if not onednn_float32_is_faster():
+        monkeypatch.setattr(module, "onednn_float32_is_faster", lambda: True)
     x, weight, bias = (part.to(dtype) for part in parts(37, 3, 40))
     filled = padded_to_bucket(x, weight, bias)
     assert torch.equal(filled[:37], x) and not filled[37:].any()

@@ -14,7 +14,7 @@ from valid_frames import NAME, street, write_frame
 from shift3d.errors import InputError
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import StreetScenes
-from shift3d.settings.catalogue.compiled import compare_with_original, require_score_only
+from shift3d.settings.catalogue.compiled import compare_with_original, refuse_gradient_search
 from shift3d.settings.catalogue.detector_files import detector_hash, scoring_detectors
 from shift3d.settings.compose import validate
 from shift3d.settings.schema.config import Config, DetectorConfig
@@ -32,18 +32,18 @@ def configured(search: str = "evolution", **detector: Any) -> Config:
 @pytest.mark.parametrize("search", ["descent", "expectation"])
 def test_a_search_with_gradients_is_refused_with_the_remedy(search: str) -> None:
     with pytest.raises(InputError, match=rf"search={search} follows a gradient.*attack\.search=evolution, or random"):
-        require_score_only(configured(search))
+        refuse_gradient_search(configured(search))
 
 
 @pytest.mark.parametrize("search", ["evolution", "random"])
 def test_a_search_by_scores_is_taken(search: str) -> None:
-    require_score_only(configured(search))
+    refuse_gradient_search(configured(search))
     assert configured(search).detector.weights_by_name() == {"onnx": "mine.onnx"}
 
 
 def test_beside_another_detector_any_search_goes() -> None:
     config = configured("descent", name="pointpillars", scored_by=["onnx"])
-    require_score_only(config)
+    refuse_gradient_search(config)
     assert config.detector.weights_by_name() == {"pointpillars": None, "onnx": "mine.onnx"}
 
 

@@ -10,18 +10,18 @@ from shift3d.cli.commands.frontier import groups_of, plan_of
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS, RenderSettings
-from shift3d.settings.accuracy_time import FrontierSweep, expand_settings, validate_frontier
+from shift3d.settings.accuracy_time import FrontierSweepConfig, expand_settings, validate_frontier
 from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import compose_sweep
 from shift3d.task.assets import render_settings
 from shift3d.task.spec import TaskSpec
 
 
-def frontier(*overrides: str) -> FrontierSweep:
+def frontier(*overrides: str) -> FrontierSweepConfig:
     return validate_frontier(compose_sweep("accuracy_time", overrides).base, "sweep accuracy_time")
 
 
-def changed(**changes: Any) -> FrontierSweep:
+def changed(**changes: Any) -> FrontierSweepConfig:
     """The sweep with one more setting."""
     values = compose_sweep("accuracy_time", []).base
     plain = {"name": "another", "method": "more", "preset": "standard"}

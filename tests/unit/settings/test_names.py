@@ -9,7 +9,7 @@ import pytest
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
-from shift3d.settings.names import quoted, text_settings
+from shift3d.settings.names import quoted, text_setting_paths
 from shift3d.settings.schema.config import Config, DeepSdfVehicleConfig, MlflowConfig
 from shift3d.settings.schema.scenes import KittiConfig
 
@@ -22,7 +22,7 @@ def vehicles(*words: str) -> list[DeepSdfVehicleConfig]:
 
 
 def test_the_texts_among_the_settings() -> None:
-    assert text_settings(Config) == {
+    assert text_setting_paths(Config) == {
         *(
             "scene",
             "scenes.root",
@@ -99,7 +99,7 @@ def test_frames_of_a_file_without_quotes_are_refused(
     ],
 )
 def test_only_numbers_of_texts_are_quoted(word: str, same: bool) -> None:
-    assert (quoted(word, text_settings(Config)) == word) is same
+    assert (quoted(word, text_setting_paths(Config)) == word) is same
 
 
 @pytest.mark.parametrize("word", ["vehicle.name=true", "attack.steps=many", "mode=3", "scenes.root=[1]"])

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from shift3d.cli.completion import overrides, plan_words
-from shift3d.cli.job_spec import take_job
+from shift3d.cli.job_spec import pop_job
 from shift3d.cli.main import main
-from shift3d.cli.words import runner_of
+from shift3d.cli.sweep_arguments import compose_runner
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
@@ -65,13 +65,13 @@ def test_a_sweep_of_ones_own_changes_no_command_that_runs_another(
 ) -> None:
     """scenes and verify take their settings from conf/ by way of a sweep that nobody named."""
     assert main(["scenes", "list"]) == 0
-    shipped_scenes, runner = capsys.readouterr().out, runner_of(["runner.workers=2"], "verify")
+    shipped_scenes, runner = capsys.readouterr().out, compose_runner(["runner.workers=2"], "verify")
     for name in files("sweeps"):
         write(team / "sweeps" / f"{name}.yaml", text)
     assert main(["scenes", "list"]) == 0 and capsys.readouterr().out == shipped_scenes
-    assert runner_of(["runner.workers=2"], "verify") == runner
+    assert compose_runner(["runner.workers=2"], "verify") == runner
     write(team / "conf" / "runner" / "ray.yaml", "defaults: [local, _self_]\n")
-    assert runner_of([], "verify") == runner_of(["runner=local"], "verify"), "an option of one's own counts"
+    assert compose_runner([], "verify") == compose_runner(["runner=local"], "verify"), "an option of one's own counts"
 
 
 def test_a_sweep_may_be_made_of_one_that_ships(team: Path) -> None:
@@ -143,7 +143,7 @@ def test_an_unknown_name_says_what_there_is_and_where_it_was_looked_for(
 
 def test_a_launch_spec_of_ones_own(team: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write(team / "jobs" / "local.yaml", "# Ours.\nkind: local\nrunner:\n  kind: local\n")
-    job, _ = take_job(["job=local"])
+    job, _ = pop_job(["job=local"])
     assert job is not None and job.runner == {"kind": "local"}
     assert main(["jobs"]) == 0
     listed = capsys.readouterr().out

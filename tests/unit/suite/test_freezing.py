@@ -16,10 +16,10 @@ from shift3d.settings.compose import compose_sweep
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.suite import freezing
-from shift3d.suite.choosing import Choice, choose_solutions
-from shift3d.suite.freezing import Frozen, freeze_suite
+from shift3d.suite.freezing import FreezeResult, freeze_suite
 from shift3d.suite.frozen import manifest_bytes, read_suite
 from shift3d.suite.scoring import Scorer, score_suite
+from shift3d.suite.selection import SelectionRule, select_solutions
 from shift3d.sweep.execution.worker import completed_rows
 from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import make_plan
@@ -49,11 +49,11 @@ def swept(folder: Path, words: list[str]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def frozen(sweep: Path, tmp_path_factory: pytest.TempPathFactory) -> Frozen:
-    return freeze_suite(sweep, tmp_path_factory.mktemp("suite"), Choice())
+def frozen(sweep: Path, tmp_path_factory: pytest.TempPathFactory) -> FreezeResult:
+    return freeze_suite(sweep, tmp_path_factory.mktemp("suite"), SelectionRule())
 
 
-def test_frozen_objects_are_scored_as_the_sweep_scored_them(frozen: Frozen, sweep: Path, tmp_path: Path) -> None:
+def test_frozen_objects_are_scored_as_the_sweep_scored_them(frozen: FreezeResult, sweep: Path, tmp_path: Path) -> None:
     suite = frozen.suite
     assert suite.objects["role"].tolist() == ["control", "hard", "hard"], "both tasks have one baseline"
     assert set(suite.objects["control"].dropna()) == {suite.objects["object_id"].iloc[0]}
@@ -68,16 +68,16 @@ def test_frozen_objects_are_scored_as_the_sweep_scored_them(frozen: Frozen, swee
     assert frozen.largest_difference == 0.0 and frozen.unverified == 2
 
 
-def test_the_same_call_writes_nothing_again_and_another_one_is_refused(frozen: Frozen, sweep: Path) -> None:
+def test_the_same_call_writes_nothing_again_and_another_one_is_refused(frozen: FreezeResult, sweep: Path) -> None:
     to = Path(str(frozen.suite.folder))
     before = {path: path.stat().st_mtime_ns for path in to.rglob("*")}
-    known = freeze_suite(sweep, to, Choice())
+    known = freeze_suite(sweep, to, SelectionRule())
     assert known.largest_difference is None and known.suite.digest == frozen.suite.digest
     assert {path: path.stat().st_mtime_ns for path in to.rglob("*")} == before
     with pytest.raises(InputError, match="holds another suite"):
-        freeze_suite(sweep, to, Choice(count=1))
+        freeze_suite(sweep, to, SelectionRule(count=1))
     with pytest.raises(InputError, match="not empty"):
-        freeze_suite(sweep, sweep, Choice())
+        freeze_suite(sweep, sweep, SelectionRule())
 
 
 class Killed(BaseException):
@@ -89,7 +89,7 @@ def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_
 ) -> None:
     words = ["vehicle=suv", "mode=pose", "scenes.count=2", "scenes.sensor=hdl64", "attack.steps=1",
              "attack.random_replicates=0", "naturalness=none"]  # fmt: skip
-    sweep, alone = swept(tmp_path / "sweep", words), Choice(controls=False)
+    sweep, alone = swept(tmp_path / "sweep", words), SelectionRule(controls=False)
     whole = freeze_suite(sweep, tmp_path / "whole", alone)
     scored = []
 
@@ -113,11 +113,11 @@ def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_
 
 
 def test_referenced_frames_are_made_again_and_must_be_the_same(
-    frozen: Frozen, sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    frozen: FreezeResult, sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scored: list[object] = []
     monkeypatch.setattr(freezing, "score_box", lambda *words: (scored.append(words), score_box(*words))[1])
-    suite = freeze_suite(sweep, tmp_path, Choice(), "referenced").suite
+    suite = freeze_suite(sweep, tmp_path, SelectionRule(), "referenced").suite
     assert len(scored) == len(suite.objects) == 3, "the control of both tasks is scored once"
     assert not (tmp_path / "backgrounds").exists()
     name = suite.objects["background"].iloc[0]
@@ -144,7 +144,7 @@ def test_a_vehicle_of_another_kind_has_that_kinds_name_and_size(sweep: Path, tmp
     coupe = assets.vehicles.vehicle("coupe")
     own = read_table(sweep / "final" / "solutions.parquet", "solutions").to_pylist()[0]
     turned = own | {"drawn_as": "coupe", "latent_code": coupe.latent_code.tolist()}
-    writing = freezing._Writing(as_location(tmp_path), "referenced", "")
+    writing = freezing._SuiteWriter(as_location(tmp_path), "referenced", "")
     rows = [freezing._object(plan.tasks[0].spec, row, assets, writing)[0] for row in (own, turned)]
     assert [row["vehicle"] for row in rows] == ["suv", "coupe"]
     assert rows[1]["dx_m"] == coupe.size_m[0] != rows[0]["dx_m"]
@@ -158,7 +158,7 @@ def test_controls_alone_are_no_suite(sweep: Path, tmp_path: Path) -> None:
     changed = [row | {"score": 1.0} if row["method"] == "adversarial" else row for row in rows]
     write_table(path, table_from_rows("scores", changed))
     with pytest.raises(InputError, match="no object has the score that the sweep reports"):
-        freeze_suite(other, tmp_path / "suite", Choice())
+        freeze_suite(other, tmp_path / "suite", SelectionRule())
     assert not (tmp_path / "suite" / "suite.json").exists()
 
 
@@ -189,19 +189,21 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
         for method in ("baseline", "adversarial")
     ]
     write_table(tmp_path / "final" / "solutions.parquet", table_from_rows("solutions", solutions))
-    chosen = choose_solutions(as_location(tmp_path), Choice())
+    chosen = select_solutions(as_location(tmp_path), SelectionRule())
     assert len(chosen.hard) == len(chosen.controls) == 20 and chosen.unverified == 0
     assert sum(chosen.left_out.values()) == len(faults) == len(chosen.left_out)
-    hardest = choose_solutions(as_location(tmp_path), Choice(count=5, by="hardest"))
+    hardest = select_solutions(as_location(tmp_path), SelectionRule(count=5, by="hardest"))
     assert hardest.hard["task_id"].tolist() == [f"{number:032x}" for number in range(5)]
-    drawn = [choose_solutions(as_location(tmp_path), Choice(count=5, seed=seed)).hard["task_id"] for seed in (0, 0, 1)]
+    drawn = [
+        select_solutions(as_location(tmp_path), SelectionRule(count=5, seed=seed)).hard["task_id"] for seed in (0, 0, 1)
+    ]
     assert drawn[0].tolist() == drawn[1].tolist() != drawn[2].tolist()
-    assert choose_solutions(as_location(tmp_path), Choice(controls=False)).controls.empty
+    assert select_solutions(as_location(tmp_path), SelectionRule(controls=False)).controls.empty
     with pytest.raises(InputError, match="has no method 'random'"):
-        choose_solutions(as_location(tmp_path), Choice(method="random"))
+        select_solutions(as_location(tmp_path), SelectionRule(method="random"))
     write_table(tmp_path / "final" / "scores.parquet", table_from_rows("scores", rows[-1:]))
     with pytest.raises(InputError, match="no adversarial object can be frozen: 1 without a score"):
-        choose_solutions(as_location(tmp_path), Choice())
+        select_solutions(as_location(tmp_path), SelectionRule())
 
 
 def tree(folder: Path) -> dict[str, bytes]:

@@ -11,7 +11,7 @@ from by_hand import catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.log import CommitLog
 from shift3d.store.resolve import as_location
-from shift3d.sweep.drive import cheapest_first
+from shift3d.sweep.drive import execution_order
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.sweep.planning.tasks import Tasks
@@ -26,7 +26,7 @@ def tasks(*words: str) -> Tasks:
 def test_pose_attacks_go_first_and_tasks_of_a_vehicle_in_a_scene_stay_together(transfers: int) -> None:
     words = ("vehicle=suv,coupe", "mode=shape,pose", "attack.lambda=1,10", f"attack.transfer_scenes={transfers}")
     planned = tasks(*words)
-    order = [planned[position].spec for position in cheapest_first(planned, np.arange(len(planned)))]
+    order = [planned[position].spec for position in execution_order(planned, np.arange(len(planned)))]
     found = [(spec.vehicle, spec.scene, spec.mode, spec.lambda_) for spec in order]
     searches = [("pose", None), ("shape", 1.0), ("shape", 10.0)]
     in_turn = [(scene, *search) for scene in ("north", "south") for search in searches]
@@ -37,8 +37,8 @@ def test_pose_attacks_go_first_and_tasks_of_a_vehicle_in_a_scene_stay_together(t
 def test_every_task_once_and_in_plan_order_where_that_is_cheapest_already(words: tuple[str, ...]) -> None:
     planned = tasks("vehicle=suv,coupe", *words, "attack.lambda=1")
     left = np.array([0, 1, 3])
-    assert cheapest_first(planned, left).tolist() == left.tolist()
-    assert cheapest_first(planned, left[:0]).tolist() == []
+    assert execution_order(planned, left).tolist() == left.tolist()
+    assert execution_order(planned, left[:0]).tolist() == []
 
 
 def test_a_result_after_a_quiet_time_waits_for_no_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

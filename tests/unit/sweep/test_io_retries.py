@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from shift3d.errors import InputError
-from shift3d.scenes.listing import read_bytes
+from shift3d.scenes.file_checks import read_bytes
 from shift3d.store.location import LocalLocation
 from shift3d.sweep.execution.worker import Worker
 from shift3d.sweep.planning.kind import TaskKind

@@ -21,6 +21,6 @@ def test_a_heap_full_of_holes_is_given_back() -> None:
     """Every hundredth of many small tensors stays: the allocator alone keeps the pages between them."""
     kept = [torch.ones(25_000) for _ in range(3000)][::100]  # 100 kB each, 300 MB
     before = resident_mb()
-    worker._give_memory_back()
+    worker._release_free_memory()
     assert resident_mb() < before - 100
     assert all(float(part.sum()) == 25_000 for part in kept)

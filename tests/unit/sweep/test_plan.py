@@ -11,7 +11,7 @@ import valid_sweeps
 from by_hand import BOTH_LAMBDAS, VEHICLES, catalogue
 
 from shift3d.errors import InputError
-from shift3d.settings.catalogue.compiled import require_score_only
+from shift3d.settings.catalogue.compiled import refuse_gradient_search
 from shift3d.settings.catalogue.reading import Catalogue, read_catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema.config import Config
@@ -185,7 +185,7 @@ def test_every_value_of_an_axis_is_checked_against_the_detector() -> None:
     onnx = ["vehicle=suv", "mode=pose", "detector=onnx", "detector.file=x.onnx"]
 
     def checked(config: Config) -> Catalogue:
-        require_score_only(config)
+        refuse_gradient_search(config)
         return catalogue(config)
 
     for search in ("descent", "evolution,descent", "evolution,random,expectation"):

@@ -13,7 +13,7 @@ from shift3d.sweep.execution.worker import attempt_row
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.results.final import write_final
-from shift3d.sweep.results.reuse import take_finished
+from shift3d.sweep.results.reuse import copy_finished_tasks
 
 
 def test_the_other_sweep_may_have_another_name_and_order(tmp_path: Path, suv_plan: Plan) -> None:
@@ -25,8 +25,8 @@ def test_the_other_sweep_may_have_another_name_and_order(tmp_path: Path, suv_pla
         scores = table_from_rows("scores", [score_row(task, "other", "baseline", 0.8, 1.0)])
         log.commit((task.spec.task_id,), (), {"scores": scores, "attempts": attempts})
     own = CommitLog(tmp_path / "own", suv_plan.spec_hash)
-    assert take_finished(own, suv_plan, tmp_path / "other") == 3
-    assert take_finished(own, suv_plan, tmp_path / "other") == 0
+    assert copy_finished_tasks(own, suv_plan, tmp_path / "other") == 3
+    assert copy_finished_tasks(own, suv_plan, tmp_path / "other") == 0
     assert own.done() == set(other.tasks.ids.to_pylist())
     final = write_final(tmp_path / "own", suv_plan, own.entries)
     assert final.frame("scores")["sweep"].tolist() == ["default"] * 3

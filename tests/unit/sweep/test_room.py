@@ -13,7 +13,7 @@ from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep, validate
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray import connection
-from shift3d.sweep.execution.ray.worker_pool import PooledWorker, WorkerPool, room_for
+from shift3d.sweep.execution.ray.worker_pool import PooledWorker, WorkerPool, worker_capacity
 
 
 def config(*overrides: str) -> RayRunnerConfig:
@@ -27,7 +27,7 @@ def node(cpus: float, memory_gb: float, alive: bool = True) -> dict[str, Any]:
 
 
 def test_the_scarcer_of_the_two_decides_on_each_machine() -> None:
-    assert room_for([node(8, 2), node(2, 64)], cpus=1, memory_mb=1024) == 2 + 2
+    assert worker_capacity([node(8, 2), node(2, 64)], cpus=1, memory_mb=1024) == 2 + 2
 
 
 def pool(nodes: list[dict[str, Any]], *overrides: str) -> WorkerPool:
@@ -39,15 +39,15 @@ def pool(nodes: list[dict[str, Any]], *overrides: str) -> WorkerPool:
 
 
 def test_machines_that_are_gone_hold_none() -> None:
-    assert room_for([node(8, 64, alive=False), node(2, 64)], cpus=1, memory_mb=1024) == 2
+    assert worker_capacity([node(8, 64, alive=False), node(2, 64)], cpus=1, memory_mb=1024) == 2
 
 
 def test_one_worker_is_tried_where_memory_seems_too_little_for_any() -> None:
-    assert room_for([node(4, 0.5), node(4, 0.5)], cpus=1, memory_mb=1024) == 1
+    assert worker_capacity([node(4, 0.5), node(4, 0.5)], cpus=1, memory_mb=1024) == 1
 
 
 def test_memory_that_the_settings_state_is_no_estimate() -> None:
-    assert room_for([node(4, 0.5), node(4, 0.5)], cpus=1, memory_mb=1024, estimated=False) == 0
+    assert worker_capacity([node(4, 0.5), node(4, 0.5)], cpus=1, memory_mb=1024, estimated=False) == 0
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_starts_fail_by_a_defect_or_because_their_machine_went_away(text: str, f
 
 
 def test_no_cpus_no_worker() -> None:
-    assert room_for([node(0, 64), node(0.5, 64)], cpus=1, memory_mb=1024) == 0
+    assert worker_capacity([node(0, 64), node(0.5, 64)], cpus=1, memory_mb=1024) == 0
 
 
 def test_a_private_ray_has_the_cpus_that_this_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,13 @@ from hypothesis import strategies as st
 
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.detector_files import file_hash, weights_file
-from shift3d.sweep.execution.ray.shipped_files import NamedFiles, loaded, named_files, unloaded, with_files_in
+from shift3d.sweep.execution.ray.shipped_files import (
+    NamedFiles,
+    named_files,
+    read_shipped_files,
+    with_files_in,
+    with_local_files,
+)
 from shift3d.task.assets import load_assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.vehicles.sources import VehicleSet
@@ -51,17 +57,17 @@ def copies(tmp_path: Path) -> list[str]:
 
 def test_what_lies_here_is_used_where_it_lies(mine: Path, tmp_path: Path) -> None:
     assets = own(mine)
-    assert unloaded(assets, loaded([assets])) == assets
+    assert with_local_files(assets, read_shipped_files([assets])) == assets
     assert copies(tmp_path) == []
 
 
 def test_what_is_not_here_is_loaded_from_the_shipped_files(mine: Path, tmp_path: Path) -> None:
     assets = own(mine)
-    shipped = loaded([assets])
+    shipped = read_shipped_files([assets])
     shutil.rmtree(mine)
     with pytest.raises(InputError, match="sst_small"):
         load_assets(assets)
-    found = load_assets(unloaded(assets, shipped))
+    found = load_assets(with_local_files(assets, shipped))
     assert "suv" in found.vehicles.names()
     assert copies(tmp_path) == ["sdf.safetensors", "sst_small.safetensors", "vehicles.safetensors"]
     assert (tmp_path / "home" / ".shift3d" / "files").stat().st_mode & 0o077 == 0, "its owner's alone"
@@ -69,19 +75,19 @@ def test_what_is_not_here_is_loaded_from_the_shipped_files(mine: Path, tmp_path:
 
 def test_a_home_that_cannot_be_written_to_is_named(mine: Path, tmp_path: Path) -> None:
     assets = own(mine)
-    shipped = loaded([assets])
+    shipped = read_shipped_files([assets])
     shutil.rmtree(mine)
     (tmp_path / "home").write_text("a file, no folder")
     with pytest.raises(InputError, match="home that they can write to"):
-        unloaded(assets, shipped)
+        with_local_files(assets, shipped)
 
 
 def test_another_file_of_that_name_is_not_taken_for_it(mine: Path) -> None:
     assets = own(mine)
-    shipped = loaded([assets])
+    shipped = read_shipped_files([assets])
     decoder = mine / "sdf.safetensors"
     decoder.write_bytes(decoder.read_bytes()[:-1] + b"\0")
-    moved = unloaded(assets, shipped)
+    moved = with_local_files(assets, shipped)
     assert moved.vehicles["folder"] != str(mine)
     assert moved.detectors == assets.detectors, "this file is as it was"
     load_assets(moved)
@@ -89,26 +95,26 @@ def test_another_file_of_that_name_is_not_taken_for_it(mine: Path) -> None:
 
 def test_a_copy_is_made_once_and_mended_if_it_was_damaged(mine: Path) -> None:
     assets = own(mine)
-    shipped = loaded([assets])
+    shipped = read_shipped_files([assets])
     shutil.rmtree(mine)
-    copy = Path(str(unloaded(assets, shipped).detectors["sst_small"]))
+    copy = Path(str(with_local_files(assets, shipped).detectors["sst_small"]))
     was = copy.stat()
-    assert unloaded(assets, shipped).detectors["sst_small"] == str(copy)
+    assert with_local_files(assets, shipped).detectors["sst_small"] == str(copy)
     assert copy.stat().st_ino == was.st_ino, "not written again"
     copy.write_bytes(b"torn")
-    unloaded(assets, shipped)
+    with_local_files(assets, shipped)
     assert file_hash(copy) == assets.hashes["sst_small"]
 
 
 def test_bytes_out_of_the_object_store_cannot_be_written_to(mine: Path) -> None:
     """Ray maps them read-only; so must everything here work."""
     assets = own(mine)
-    shipped = loaded([assets])
+    shipped = read_shipped_files([assets])
     for contents in shipped.values():
         for content in contents.values():
             content.setflags(write=False)
     shutil.rmtree(mine)
-    load_assets(unloaded(assets, shipped))
+    load_assets(with_local_files(assets, shipped))
 
 
 def test_a_deepsdf_experiment_travels_with_its_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,9 +127,9 @@ def test_a_deepsdf_experiment_travels_with_its_checkpoint(tmp_path: Path, monkey
     vehicles = {"kind": "deepsdf", "folder": str(folder), "checkpoint": "2000"}
     assets = AssetsSpec(scenes=STREETS, vehicles=vehicles)
     assert named_files(assets) == (NamedFiles(str(folder), names),)
-    shipped = loaded([assets])
+    shipped = read_shipped_files([assets])
     shutil.rmtree(folder)
-    there = Path(unloaded(assets, shipped).vehicles["folder"])
+    there = Path(with_local_files(assets, shipped).vehicles["folder"])
     assert [(there / name).read_text() for name in names] == list(names)
 
 
@@ -131,12 +137,12 @@ def test_a_file_that_is_gone_before_it_travels_is_named(mine: Path) -> None:
     assets = own(mine)
     (mine / "sdf.safetensors").unlink()
     with pytest.raises(InputError, match=r"sdf\.safetensors"):
-        loaded([assets])
+        read_shipped_files([assets])
 
 
 def test_what_ships_does_not_travel() -> None:
-    assert loaded([AssetsSpec(scenes=STREETS)]) == {}
-    assert loaded([AssetsSpec(scenes=STREETS, vehicles={"kind": "set", "folder": "wide"})]) == {}
+    assert read_shipped_files([AssetsSpec(scenes=STREETS)]) == {}
+    assert read_shipped_files([AssetsSpec(scenes=STREETS, vehicles={"kind": "set", "folder": "wide"})]) == {}
 
 
 @given(st.dictionaries(st.sampled_from(["sst", "sst_small", "pointpillars"]), st.none() | st.just("~/w/a.safetensors")))
@@ -152,9 +158,11 @@ def test_only_what_was_asked_for_moves(detectors: dict[str, str | None]) -> None
 
 def test_two_sweeps_with_one_name_and_other_content_do_not_share_a_copy(mine: Path) -> None:
     first = own(mine)
-    shipped = loaded([first])
+    shipped = read_shipped_files([first])
     other = dict(shipped)
     (weights,) = (files for files in shipped if "sst_small" in files.names[0])
     other[weights] = {name: np.invert(content) for name, content in shipped[weights].items()}
     shutil.rmtree(mine)
-    assert unloaded(first, shipped).detectors["sst_small"] != unloaded(first, other).detectors["sst_small"]
+    assert (
+        with_local_files(first, shipped).detectors["sst_small"] != with_local_files(first, other).detectors["sst_small"]
+    )

@@ -12,12 +12,12 @@ from shift3d.render.settings import REFERENCE
 from shift3d.task.assets import Assets
 from shift3d.task.audit import AUDITED_BEAMS, audit
 from shift3d.task.problem import build_problem, place_vehicle
-from shift3d.task.scoring import Candidate, Scored, score_object
+from shift3d.task.scoring import Candidate, ScoredObject, score_object
 from shift3d.task.spec import AttackSpec, TaskSpec
 
 
 @pytest.fixture(scope="module")
-def case(assets: Assets) -> tuple[TaskSpec, AttackProblem, Candidate, Scored]:
+def case(assets: Assets) -> tuple[TaskSpec, AttackProblem, Candidate, ScoredObject]:
     spec = make_spec(attack=AttackSpec(steps=1))
     placement = place_vehicle(spec, assets)
     problem = build_problem(spec, assets, placement.theta)  # type: ignore[union-attr]
@@ -30,12 +30,14 @@ def case(assets: Assets) -> tuple[TaskSpec, AttackProblem, Candidate, Scored]:
     return spec, problem, candidate, replace(scored, measurement=replace(scored.measurement, rendering=truth))
 
 
-def changed(scored: Scored, **parts: torch.Tensor) -> Scored:
+def changed(scored: ScoredObject, **parts: torch.Tensor) -> ScoredObject:
     rendering = replace(scored.measurement.rendering, **parts)
     return replace(scored, measurement=replace(scored.measurement, rendering=rendering))
 
 
-def test_a_true_rendering_has_no_error(assets: Assets, case: tuple[TaskSpec, AttackProblem, Candidate, Scored]) -> None:
+def test_a_true_rendering_has_no_error(
+    assets: Assets, case: tuple[TaskSpec, AttackProblem, Candidate, ScoredObject]
+) -> None:
     spec, problem, candidate, scored = case
     found = audit(spec, assets, problem, candidate, scored)
     assert found.audited_beams == AUDITED_BEAMS and found.found.hits == AUDITED_BEAMS // 2
@@ -45,7 +47,7 @@ def test_a_true_rendering_has_no_error(assets: Assets, case: tuple[TaskSpec, Att
 
 
 def test_a_depth_that_is_off_is_measured(
-    assets: Assets, case: tuple[TaskSpec, AttackProblem, Candidate, Scored]
+    assets: Assets, case: tuple[TaskSpec, AttackProblem, Candidate, ScoredObject]
 ) -> None:
     spec, problem, candidate, scored = case
     ranges = scored.measurement.rendering.range_m
@@ -56,7 +58,7 @@ def test_a_depth_that_is_off_is_measured(
 
 
 def test_lost_and_invented_hits_are_counted(
-    assets: Assets, case: tuple[TaskSpec, AttackProblem, Candidate, Scored]
+    assets: Assets, case: tuple[TaskSpec, AttackProblem, Candidate, ScoredObject]
 ) -> None:
     spec, problem, candidate, scored = case
     hits = scored.measurement.rendering.hit_mask

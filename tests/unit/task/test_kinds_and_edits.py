@@ -16,7 +16,7 @@ from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.follow_ups.rendered import render_solution
-from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
+from shift3d.task.problem import build_problem, place_vehicle, with_other_vehicle
 from shift3d.task.run import run_task
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import AttackSpec, TransferScene
@@ -58,7 +58,7 @@ def test_a_universal_search_over_kinds_puts_each_kind_into_every_scene(wide: Ass
     moved = spec.moved_to(spec.transfer_scenes[0])
     placement = place_vehicle(moved, wide)
     assert isinstance(placement, Placement) and vehicle.name != "sedan"
-    problem = as_vehicle(moved, wide, build_problem(moved, wide, placement.theta), vehicle)
+    problem = with_other_vehicle(moved, wide, build_problem(moved, wide, placement.theta), vehicle)
     code = torch.tensor(solution["latent_code"])
     there = score_object(problem, code, on_ground(code, problem, SNAP_M), 5.0).answers["pointpillars"].adversarial_loss
     kept = found.trajectories[by_method(found, "adversarial")[0]["best_step"]]

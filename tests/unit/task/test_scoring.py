@@ -14,9 +14,9 @@ from shift3d.scenes.scene import Labels
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets
 from shift3d.task.follow_ups import vehicle_pool
-from shift3d.task.follow_ups.vehicle_pool import own_score
+from shift3d.task.follow_ups.vehicle_pool import overlap_score
 from shift3d.task.problem import build_problem, place_vehicle
-from shift3d.task.scoring import Nearby, score_box, score_object
+from shift3d.task.scoring import NoisyCopyScorer, score_box, score_object
 from shift3d.task.spec import PlacementSpec
 
 OBJECT = np.array([20.0, 3.0, 0.8, 4.5, 1.8, 1.5, 0.3])
@@ -56,7 +56,7 @@ def test_a_low_score_is_its_own_however_many_boxes_elsewhere_score_higher(where:
     detector = WholeScene(boxes, scores)
     found = score_box(torch.zeros(1, 3), OBJECT, 0.0, 5.0, {"whole": detector})["whole"]  # type: ignore[dict-item]
     assert found.score == pytest.approx(0.05)
-    assert own_score(detector.found, OBJECT) == pytest.approx(0.05)
+    assert overlap_score(detector.found, OBJECT) == pytest.approx(0.05)
 
 
 def test_a_box_that_the_detector_never_reports_is_no_score() -> None:
@@ -72,7 +72,7 @@ def test_no_box_and_a_box_that_is_no_number_are_no_score() -> None:
     for boxes in (np.zeros((0, 7)), OBJECT[None]):
         detector = WholeScene(boxes, np.full(len(boxes), np.nan))
         found = score_box(torch.zeros(1, 3), OBJECT, 0.0, 5.0, {"whole": detector})["whole"]  # type: ignore[dict-item]
-        assert found.score == 0.0 and own_score(detector.found, OBJECT) == 0.0
+        assert found.score == 0.0 and overlap_score(detector.found, OBJECT) == 0.0
 
 
 def test_a_vehicle_of_a_pool_beyond_the_detectors_grid_has_no_score(assets: Assets) -> None:
@@ -99,13 +99,13 @@ def test_scored_nearby_is_scored_afresh_for_less(assets: Assets) -> None:
     solution, *codes = noise_codes(problem.code0, 0.02, 3, generator("test", "noise"))
     first = score_object(problem, solution, problem.theta0, 5.0)
 
-    def answer(code: torch.Tensor, nearby: Nearby | None) -> tuple[float, float, int]:
+    def answer(code: torch.Tensor, nearby: NoisyCopyScorer | None) -> tuple[float, float, int]:
         found = score_object(problem, code, problem.theta0, 5.0, nearby=nearby)
         one = found.answers["pointpillars"]
         return one.score, one.adversarial_loss, found.measurement.rendering.evaluations
 
-    def start() -> Nearby:
-        nearby = Nearby()
+    def start() -> NoisyCopyScorer:
+        nearby = NoisyCopyScorer()
         nearby.note("adversarial", first)
         return nearby
 

@@ -19,7 +19,7 @@ from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.run import run_task
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import AttackSpec, PlacementSpec, TransferScene
-from shift3d.task.transfer import put_elsewhere
+from shift3d.task.transfer import score_transfers
 
 TRANSFER = (TransferScene(THERE, ""),)
 
@@ -43,7 +43,7 @@ def test_baseline_and_shape_are_scored_at_one_place_of_the_other_scene(moved: Ta
 
 def test_the_unchanged_shape_changes_no_score_anywhere(assets: Assets) -> None:
     code = torch.from_numpy(assets.vehicle(make_spec()).latent_code)
-    (row,) = put_elsewhere(make_spec(transfer_scenes=TRANSFER), assets, code)
+    (row,) = score_transfers(make_spec(transfer_scenes=TRANSFER), assets, code)
     assert row["score"] == pytest.approx(row["score_baseline"], abs=0.02)  # snapped to the ground again, by millimetres
 
 
@@ -70,7 +70,7 @@ def test_a_scene_without_room_is_a_row_without_scores(assets: Assets) -> None:
         transfer_scenes=TRANSFER, placement=PlacementSpec(min_range_m=49.0, max_range_m=50.0, attempts=1)
     )
     code = torch.from_numpy(assets.vehicle(nowhere).latent_code)
-    (row,) = put_elsewhere(nowhere, assets, code)
+    (row,) = score_transfers(nowhere, assets, code)
     assert row["status"] == "no_placement" and "score" not in row
     assert table_from_rows(
         "transfers", completed_rows(nowhere, "s", TaskResult([], [], [], transfers=[row]))["transfers"]
@@ -80,7 +80,7 @@ def test_a_scene_without_room_is_a_row_without_scores(assets: Assets) -> None:
 def test_another_scene_that_changed_after_planning_is_refused(assets: Assets) -> None:
     code = torch.from_numpy(assets.vehicle(make_spec()).latent_code)
     with pytest.raises(InputError, match=rf"scene {THERE}: changed after the sweep was planned"):
-        list(put_elsewhere(make_spec(transfer_scenes=(TransferScene(THERE, "another"),)), assets, code))
+        list(score_transfers(make_spec(transfer_scenes=(TransferScene(THERE, "another"),)), assets, code))
 
 
 def test_a_scene_that_was_searched_in_judges_nothing(assets: Assets) -> None:

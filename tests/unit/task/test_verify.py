@@ -17,7 +17,7 @@ from shift3d.sweep.results.final import with_verification
 from shift3d.task.assets import Assets
 from shift3d.task.differences import Differences
 from shift3d.task.exchange import AssetsSpec, TaskResult
-from shift3d.task.follow_ups.rescoring import DRAWS, Solution, Verified
+from shift3d.task.follow_ups.rescoring import DRAWS, Solution, VerificationResult
 from shift3d.task.follow_ups.verify import (
     SCORE_TOLERANCE,
     VerifyAssets,
@@ -32,14 +32,16 @@ START = Solution("baseline", 0, torch.zeros(2), torch.zeros(6), {"pointpillars":
 FOUND = Solution("adversarial", 0, torch.ones(2), torch.zeros(6), {"pointpillars": 0.3})
 
 
-def verified(score: float, reference: float | None = None, draws: float | None = None, **more: object) -> Verified:
+def verified(
+    score: float, reference: float | None = None, draws: float | None = None, **more: object
+) -> VerificationResult:
     by_draw = {"pointpillars": [score if draws is None else draws] * DRAWS}
     again, true = {"pointpillars": score}, {"pointpillars": score if reference is None else reference}
     values = {"found": NO_ERROR, "unresolved": 0, "unresolved_reference": 0, "milliseconds": {}, **more}
-    return Verified(again, true, by_draw, by_draw, **values)  # type: ignore[arg-type]
+    return VerificationResult(again, true, by_draw, by_draw, **values)  # type: ignore[arg-type]
 
 
-def row(of: Verified, baseline: Verified | None = None) -> dict:
+def row(of: VerificationResult, baseline: VerificationResult | None = None) -> dict:
     (only,) = verified_rows(FOUND, of, START, baseline or verified(0.8))
     return only
 

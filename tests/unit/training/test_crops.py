@@ -10,7 +10,7 @@ import torch
 
 from shift3d.detectors.grid import WAYMO_GRID, cells_of
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.training.detector.crops import moved, random_crop, thinned, vehicle_centre, vehicles_varied
+from shift3d.training.detector.crops import augment_vehicles, drop_points, moved, random_crop, vehicle_centre
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector_scenes import TrainingScene
 
@@ -36,8 +36,8 @@ POINTS = _inside(BOXES, np.random.default_rng(0))
 
 def test_ranges_of_one_value_change_nothing() -> None:
     rng = np.random.default_rng(0)
-    assert np.array_equal(thinned(POINTS, 1.8, NONE, rng), POINTS)
-    points, boxes = vehicles_varied(POINTS, BOXES, NONE, rng)
+    assert np.array_equal(drop_points(POINTS, 1.8, NONE, rng), POINTS)
+    points, boxes = augment_vehicles(POINTS, BOXES, NONE, rng)
     points, boxes = moved(points, boxes, (0.0, False, 1.0), NONE, rng)
     assert np.allclose(points, POINTS, atol=1e-6) and np.allclose(boxes, BOXES, atol=1e-6)
 
@@ -52,7 +52,7 @@ def test_points_stay_in_their_boxes_wherever_these_go(move: tuple[float, bool, f
 
 
 def test_a_scaled_vehicle_keeps_its_bottom_and_its_points() -> None:
-    points, boxes = vehicles_varied(POINTS, BOXES, replace(NONE, object_scale=(1.2, 1.2)), np.random.default_rng(0))
+    points, boxes = augment_vehicles(POINTS, BOXES, replace(NONE, object_scale=(1.2, 1.2)), np.random.default_rng(0))
     assert np.allclose(boxes[:, 3:6], 1.2 * BOXES[:, 3:6]) and np.allclose(boxes[:, 6], BOXES[:, 6])
     assert np.allclose(boxes[:, 2] - boxes[:, 5] / 2, BOXES[:, 2] - BOXES[:, 5] / 2, atol=1e-6)
     assert np.allclose(boxes[:, :2], BOXES[:, :2])
@@ -63,7 +63,7 @@ def test_a_scaled_vehicle_keeps_its_bottom_and_its_points() -> None:
 def test_a_stretched_vehicle_keeps_its_heading_and_its_points_their_places_in_the_box() -> None:
     """Each axis of a box has a factor of its own, and points keep their shares of length, width and height."""
     stretched = replace(NONE, object_stretch=(0.7, 1.3))
-    points, boxes = vehicles_varied(POINTS, BOXES, stretched, np.random.default_rng(0))
+    points, boxes = augment_vehicles(POINTS, BOXES, stretched, np.random.default_rng(0))
     factors = boxes[:, 3:6] / BOXES[:, 3:6]
     assert (np.abs(factors[:, None] - factors[:, :, None])[:, [0, 0, 1], [1, 2, 2]] > 0.01).all()
     assert np.allclose(boxes[:, 2] - boxes[:, 5] / 2, BOXES[:, 2] - BOXES[:, 5] / 2, atol=1e-6)
@@ -86,7 +86,7 @@ def test_dropped_scan_lines_are_whole() -> None:
         (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)), axis=1
     )
     points[:, 2] += 1.8
-    kept = thinned(points.astype(np.float32), 1.8, replace(NONE, dropped_lines=1.0), np.random.default_rng(3))
+    kept = drop_points(points.astype(np.float32), 1.8, replace(NONE, dropped_lines=1.0), np.random.default_rng(3))
     lines, counts = np.unique(np.rint(np.rad2deg(np.arcsin((kept[:, 2] - 1.8) / range_m)) * 5), return_counts=True)
     assert 0 < len(lines) < len(points) // 50 and set(counts.tolist()) == {50}
 

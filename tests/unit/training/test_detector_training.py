@@ -27,8 +27,8 @@ from shift3d.training.detector.anchor_objective import (
     sine_code_difference,
 )
 from shift3d.training.detector.batches import BatchMaker, batches
+from shift3d.training.detector.crop_sampling import RandomCrops
 from shift3d.training.detector.crops import random_crop
-from shift3d.training.detector.drawn_crops import RandomCrops
 from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.objective import objective_of
 from shift3d.training.detector.pasting import VehicleDatabase
@@ -36,7 +36,7 @@ from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle, scaled_to_steps
 from shift3d.training.detector.train import inserted_scene_files
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
-from shift3d.training.progress import averaged
+from shift3d.training.progress import downsampled
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
 ANCHORS = anchor_boxes(WAYMO_ANCHORS, WAYMO_GRID, WINDOW)
@@ -170,9 +170,11 @@ def test_one_cycle_rises_and_falls() -> None:
 
 def test_a_curve_is_told_by_the_means_of_its_stretches() -> None:
     curve = [(25 * index, {"box": float(index % 2)}) for index in range(1, 9)]
-    assert averaged(curve, 4) == [(50, {"box": 0.5}), (100, {"box": 0.5}), (150, {"box": 0.5}), (200, {"box": 0.5})]
+    assert downsampled(curve, 4) == [(50, {"box": 0.5}), (100, {"box": 0.5}), (150, {"box": 0.5}), (200, {"box": 0.5})]
     assert (
-        averaged(curve, 3)[-1] == (200, {"box": 0.5}) and averaged(curve[:2], 30) == curve[:2] and averaged([], 3) == []
+        downsampled(curve, 3)[-1] == (200, {"box": 0.5})
+        and downsampled(curve[:2], 30) == curve[:2]
+        and downsampled([], 3) == []
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from shift3d.detectors.grid import WAYMO_GRID
-from shift3d.training.detector.drawn_crops import EpochCrops, epoch_steps
+from shift3d.training.detector.crop_sampling import EpochCrops, epoch_steps
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes
 

@@ -27,7 +27,7 @@ from shift3d.training.sdf.wide_shapes import WideShapes, in_frame, kind_frames, 
 from shift3d.training.sdf_shapes import shape_samples
 from shift3d.vehicles.family.parameters import named_parameters, parameter_table
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_family
-from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors, read_parameters
+from shift3d.vehicles.parameter_box import ParameterBox, parameter_tensors, read_parameters
 
 SPECS = [*wide_family(24, 3, "seen"), *wide_family(24, 3, "held_out")]
 
@@ -114,7 +114,7 @@ def test_a_training_that_was_killed_ends_in_the_same_weights(
 
 def test_too_few_vehicles_to_measure_are_known_before_any_is_sampled(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no kind has 8 members"):
-        parametric.train_wide(tmp_path / "out", choose_compute("cpu"), count=20, steps=1)
+        parametric.train_wide_family(tmp_path / "out", choose_compute("cpu"), count=20, steps=1)
     assert not (tmp_path / "out").exists()
 
 
@@ -126,12 +126,12 @@ def test_it_starts_as_the_shipped_decoder(shapes: WideShapes, tmp_path: Path) ->
     assert torch.allclose(run.decoder(z, x), load_decoder()(z, x), atol=1e-5)
 
 
-def box() -> BoxOfParameters:
+def box() -> ParameterBox:
     basis = np.eye(2, 256, dtype=np.float32)
-    return BoxOfParameters(basis, np.array([0.0, 0.5]), np.array([-1.0, 0.25]), np.array([1.0, 0.5]), ("a", "b"))
+    return ParameterBox(basis, np.array([0.0, 0.5]), np.array([-1.0, 0.25]), np.array([1.0, 0.5]), ("a", "b"))
 
 
-def write(path: Path, found: BoxOfParameters, names: list[str] | None) -> Path:
+def write(path: Path, found: ParameterBox, names: list[str] | None) -> Path:
     facts = {"suv": {"parameters": names} if names is not None else {}}
     save_file(parameter_tensors("suv", found), path, metadata={"baselines": json.dumps(facts)})
     return path
@@ -146,7 +146,7 @@ def test_parameters_come_back_as_they_were_written(tmp_path: Path) -> None:
 def test_vehicles_without_parameters_or_with_an_empty_range_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"'suv' is made of no parameters\. Give vehicle=wide"):
         read_parameters(write(tmp_path / "none.safetensors", box(), None), "suv")
-    empty = BoxOfParameters(box().basis, box().start, np.array([-1.0, 0.6]), box().high, ("a", "b"))
+    empty = ParameterBox(box().basis, box().start, np.array([-1.0, 0.6]), box().high, ("a", "b"))
     with pytest.raises(InputError, match="the range of b does not hold the vehicle"):
         read_parameters(write(tmp_path / "empty.safetensors", empty, ["a", "b"]), "suv")
     with pytest.raises(InputError, match=r"suv.parameters.basis"):

@@ -24,7 +24,7 @@ from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.vehicles import fit, orientation, vehicle_set
 from shift3d.vehicles.family import build_mesh, sample_spec
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.orientation import frames_along, turned
+from shift3d.vehicles.orientation import frames_along, reorient_points
 from shift3d.vehicles.sources import VehicleSet
 from shift3d.vehicles.vehicle import baseline_vehicles, family_vehicles, vehicle_mesh
 
@@ -203,7 +203,7 @@ def test_orientations_along_an_axis_are_all_eight_and_turn_points_as_their_frame
     assert frames[0] == given and len(set(frames)) == 8 and {frame.forward[1] for frame in frames} == {"z"}
     in_file = np.array([[0.3, -0.2, 1.7]])
     for frame in frames:
-        moved = turned(in_file @ given.object_R_file().T, given, frame)
+        moved = reorient_points(in_file @ given.object_R_file().T, given, frame)
         assert np.allclose(moved, in_file @ frame.object_R_file().T)
 
 

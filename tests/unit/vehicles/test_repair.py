@@ -16,7 +16,7 @@ from shift3d.sdf.samples import is_closed, sample_sdf, signed_distance
 from shift3d.seeding import generator
 from shift3d.vehicles.mesh_files import find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.repair import RepairReport, repaired, sided_share
+from shift3d.vehicles.repair import RepairReport, close_mesh, correctly_oriented_share
 
 SIZE = (4.0, 1.8, 1.4)
 SMALL = (2.0, 1.0, 0.8)  # the grid that gaps are bridged on has so many nodes a cubic metre
@@ -37,7 +37,7 @@ def facing(mesh: trimesh.Trimesh, direction: tuple[int, int, int]) -> list[int]:
 
 
 def test_closed_solid_stays_as_it_is() -> None:
-    mesh, report = repaired(wedge(), "wedge")
+    mesh, report = close_mesh(wedge(), "wedge")
     assert report == RepairReport(watertight=True, open_edges=0)
     assert str(report) == "closed; nothing to repair"
     assert mesh.volume == pytest.approx(4.0 * 1.8 * 1.4 * 0.75 + 0.2**3)
@@ -47,7 +47,7 @@ def test_triangles_with_vertices_of_their_own_are_joined() -> None:
     whole = wedge()
     soup = trimesh.Trimesh(np.asarray(whole.triangles).reshape(-1, 3), np.arange(3 * len(whole.faces)).reshape(-1, 3))
     soup = trimesh.Trimesh(soup.triangles.reshape(-1, 3), np.arange(3 * len(whole.faces)).reshape(-1, 3), process=False)
-    mesh, report = repaired(soup, "soup")
+    mesh, report = close_mesh(soup, "soup")
     assert report.merged_vertices == 3 * len(whole.faces) - len(whole.vertices)
     assert report.watertight
     assert mesh.volume == pytest.approx(whole.volume)
@@ -56,7 +56,7 @@ def test_triangles_with_vertices_of_their_own_are_joined() -> None:
 def test_repeated_and_collapsed_faces_are_dropped_and_counted() -> None:
     box = body()
     faces = np.concatenate([box.faces, box.faces[:2], [[0, 0, 1]]])
-    mesh, report = repaired(trimesh.Trimesh(box.vertices, faces, process=False), "box")
+    mesh, report = close_mesh(trimesh.Trimesh(box.vertices, faces, process=False), "box")
     assert report.dropped_faces == 3
     assert len(mesh.faces) == 12
     assert not report.wrapped
@@ -65,7 +65,7 @@ def test_repeated_and_collapsed_faces_are_dropped_and_counted() -> None:
 def test_inverted_mesh_is_turned_outside_out() -> None:
     inverted = wedge()
     inverted.invert()
-    mesh, report = repaired(inverted, "inverted")
+    mesh, report = close_mesh(inverted, "inverted")
     assert report.flipped_pieces == 2
     assert mesh.volume == pytest.approx(wedge().volume)
     assert signed_distance(mesh, np.array([[0.0, 0.0, 0.3]]))[0] < 0
@@ -74,12 +74,12 @@ def test_inverted_mesh_is_turned_outside_out() -> None:
 def test_one_inverted_piece_is_turned_and_a_cavity_is_not() -> None:
     lamp = body((0.2, 0.2, 0.2), (2.5, 0, 0))
     lamp.invert()
-    mesh, report = repaired(trimesh.util.concatenate([body(), lamp]), "lamp")
+    mesh, report = close_mesh(trimesh.util.concatenate([body(), lamp]), "lamp")
     assert report.flipped_pieces == 1
     assert mesh.volume == pytest.approx(np.prod(SIZE) + 0.008)
     cavity = body((3.0, 1.0, 1.0))
     cavity.invert()
-    mesh, report = repaired(trimesh.util.concatenate([body(), cavity]), "cavity")
+    mesh, report = close_mesh(trimesh.util.concatenate([body(), cavity]), "cavity")
     assert report.flipped_pieces == 0
     assert mesh.volume == pytest.approx(np.prod(SIZE) - 3.0)
 
@@ -88,14 +88,14 @@ def test_windings_that_disagree_are_made_one() -> None:
     box = body()
     faces = np.array(box.faces)
     faces[::3] = faces[::3, ::-1]
-    mesh, report = repaired(trimesh.Trimesh(box.vertices, faces, process=False), "mixed")
+    mesh, report = close_mesh(trimesh.Trimesh(box.vertices, faces, process=False), "mixed")
     assert not report.wrapped
     assert mesh.volume == pytest.approx(np.prod(SIZE))
 
 
 def test_small_holes_are_filled_and_counted() -> None:
     box = body().subdivide().subdivide()
-    mesh, report = repaired(without_faces(box, [0, 100]), "holes")
+    mesh, report = close_mesh(without_faces(box, [0, 100]), "holes")
     assert (report.watertight, report.open_edges, report.filled_holes, report.wrapped) == (False, 6, 2, False)
     assert report.widest_hole_m == pytest.approx(np.linalg.norm([1.0, 0.45, 0.35]), rel=0.4)
     assert "2 holes filled" in str(report)
@@ -105,7 +105,7 @@ def test_small_holes_are_filled_and_counted() -> None:
 
 def test_pieces_that_touch_in_an_edge_are_closed() -> None:
     pair = trimesh.util.concatenate([body((2, 1, 1), (0, 0, 0)), body((2, 1, 1), (2, 1, 0))])
-    mesh, report = repaired(pair, "pair")
+    mesh, report = close_mesh(pair, "pair")
     assert not mesh.is_watertight
     assert not report.wrapped
     points = generator("pair").uniform([-1.5, -1, -0.7], [3.5, 2, 0.7], (2000, 3))
@@ -134,7 +134,7 @@ def panels(gap_m: float, box: tuple[float, float, float] = SIZE) -> trimesh.Trim
 
 
 def test_sheets_with_gaps_around_a_seat_are_wrapped_where_they_stand() -> None:
-    mesh, report = repaired(panels(0.03), "panels")
+    mesh, report = close_mesh(panels(0.03), "panels")
     assert report.wrapped
     assert report.seal_m == 0.05
     assert report.departure_m < 0.005
@@ -150,7 +150,7 @@ def test_sheets_with_gaps_around_a_seat_are_wrapped_where_they_stand() -> None:
 
 
 def test_wider_gaps_take_a_wider_seal() -> None:
-    _, report = repaired(panels(0.20, (2.0, 1.2, 1.0)), "panels")
+    _, report = close_mesh(panels(0.20, (2.0, 1.2, 1.0)), "panels")
     assert report.seal_m == 0.20
     assert "gaps up to 20 cm bridged" in str(report)
 
@@ -158,12 +158,12 @@ def test_wider_gaps_take_a_wider_seal() -> None:
 def test_overlapping_solids_become_their_union() -> None:
     cabin = body((1.0, 0.8, 0.6), (0, 0, 0.4))
     both = trimesh.util.concatenate([body(SMALL), cabin])
-    assert sided_share(both) < 0.99
-    mesh, report = repaired(both, "both")
+    assert correctly_oriented_share(both) < 0.99
+    mesh, report = close_mesh(both, "both")
     assert report.watertight
     assert report.wrapped
     assert mesh.volume == pytest.approx(np.prod(SMALL) + 1.0 * 0.8 * 0.3, rel=0.01)
-    assert sided_share(mesh) > 0.999
+    assert correctly_oriented_share(mesh) > 0.999
 
 
 @pytest.mark.parametrize(
@@ -176,12 +176,12 @@ def test_overlapping_solids_become_their_union() -> None:
 )
 def test_what_encloses_nothing_is_refused(mesh: trimesh.Trimesh) -> None:
     with pytest.raises(InputError, match=r"car\.obj: the mesh encloses no solid") as caught:
-        repaired(mesh, "car.obj")
+        close_mesh(mesh, "car.obj")
     assert caught.value.remedy
 
 
 def test_closed_solid_that_fills_little_of_its_box_is_a_vehicle() -> None:
-    mesh, report = repaired(
+    mesh, report = close_mesh(
         trimesh.util.concatenate([body((4.0, 1.8, 0.4)), body((1.0, 0.1, 1.0), (0, 0, 0.8))]), "bed"
     )
     assert not report.wrapped
@@ -191,14 +191,14 @@ def test_closed_solid_that_fills_little_of_its_box_is_a_vehicle() -> None:
 def test_thin_frame_is_no_vehicle() -> None:
     bars = [body((4.0, 0.1, 0.1), (0, y, z)) for y in (-0.9, 0.9) for z in (0.0, 1.3)]
     with pytest.raises(InputError, match=r"frame\.stl"):
-        repaired(trimesh.util.concatenate(bars), "frame.stl")
+        close_mesh(trimesh.util.concatenate(bars), "frame.stl")
 
 
 def test_repair_does_not_change_the_mesh_it_is_given() -> None:
     inverted = wedge()
     inverted.invert()
     faces = np.array(inverted.faces)
-    repaired(inverted, "inverted")
+    close_mesh(inverted, "inverted")
     assert np.array_equal(inverted.faces, faces)
 
 
@@ -219,7 +219,7 @@ def test_real_cad_with_open_wheel_arches_is_wrapped_within_a_centimetre(real_dat
     data = json.loads((real_data("cad") / "mazida-6-2015.json").read_text())
     faces = np.array(data["faces"]) - 1
     mesh = trimesh.Trimesh(np.array(data["vertices"], np.float64), faces, process=False)
-    car, report = repaired(MeshFrame("+z", "-y", "m").to_object(mesh, "cad"), "cad")
+    car, report = close_mesh(MeshFrame("+z", "-y", "m").to_object(mesh, "cad"), "cad")
     assert report.wrapped
     assert report.seal_m == 0.40
     assert report.departure_m < 0.01

@@ -14,7 +14,7 @@ import torch
 from shift3d.errors import InputError
 from shift3d.vehicles import vehicle as vehicle_module
 from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
-from shift3d.vehicles.sources import VehicleSet, set_folder, space_hash, vehicle_hash
+from shift3d.vehicles.sources import VehicleSet, space_hash, vehicle_hash, vehicle_set_folder
 from shift3d.vehicles.vehicle import BASELINES, DEFAULT_VEHICLES, vehicle_mesh
 
 HALF = np.array([0.35, 0.25, 0.9])  # sdf units: x width, y up, z length
@@ -162,8 +162,8 @@ def test_a_folder_that_has_the_name_of_the_shipped_set_is_not_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert set_folder("wide").name == "wide" and set_folder("wide").is_absolute()
+    assert vehicle_set_folder("wide").name == "wide" and vehicle_set_folder("wide").is_absolute()
     (tmp_path / "wide").mkdir()
     (tmp_path / "wide" / "vehicles.safetensors").write_bytes(b"")
     with pytest.raises(InputError, match="Rename the folder"):
-        set_folder("wide")
+        vehicle_set_folder("wide")

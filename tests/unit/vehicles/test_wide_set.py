@@ -14,7 +14,7 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.vehicles.family.split import SPLIT
-from shift3d.vehicles.sources import WIDE, VehicleSet, set_folder, space_hash, vehicle_hash
+from shift3d.vehicles.sources import WIDE, VehicleSet, space_hash, vehicle_hash, vehicle_set_folder
 from shift3d.vehicles.vehicle import vehicle_mesh
 
 
@@ -30,7 +30,7 @@ def test_every_body_type_and_both_sides_of_the_split_are_there(wide: VehicleSet)
 
 
 def test_vehicles_that_were_never_trained_on_are_drawn_without_a_fit() -> None:
-    facts = json.loads((set_folder(WIDE) / "sdf.json").read_text())
+    facts = json.loads((vehicle_set_folder(WIDE) / "sdf.json").read_text())
     unseen_cm = list(facts["unseen_chamfer_cm"].values())
     assert len(unseen_cm) >= 20
     assert np.median(unseen_cm) < 1.0 and max(unseen_cm) < 4.0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Terms, folded, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Paragraph, Terms, folded, missing
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.statistics.paired import Paired, holm, paired
+from shift3d.analysis.statistics.paired import PairedDifference, holm, paired
 from shift3d.analysis.tables.auc import auc_table, natural_sentence, natural_table
-from shift3d.analysis.tables.paper import paper_beside
+from shift3d.analysis.tables.paper import paper_table_of
 from shift3d.analysis.tables.sensors import sensor_table
 from shift3d.analysis.tables.table import Table, between
 from shift3d.analysis.variants import Variant
@@ -49,8 +49,8 @@ def auc(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     lead = Paragraph("Lower means that the detector misses more of these vehicles.")
     parts = [(f"AUC: {variant.label}", auc_blocks(variant)) for variant in found]
     by_lambda = natural_table(sweep.scores)
-    folds: list[Block] = [Fold("Natural shapes by lambda", [by_lambda])] if by_lambda else []
-    folds.append(Fold("What the rows and columns mean", [Terms(_MEANINGS)]))
+    folds: list[Block] = [Collapsible("Natural shapes by lambda", [by_lambda])] if by_lambda else []
+    folds.append(Collapsible("What the rows and columns mean", [Terms(_MEANINGS)]))
     return [lead, *folded(parts, _SHOWN), *folds]
 
 
@@ -59,7 +59,7 @@ def auc_blocks(variant: Variant) -> list[Block]:
     blocks: list[Block] = [auc_table(variant, in_full=True)]
     if natural := natural_sentence(variant):
         blocks.append(Paragraph(natural))
-    if not paper_beside(variant):
+    if not paper_table_of(variant):
         blocks.append(missing(f"The paper has no table of these vehicles for {variant.label}."))
     return blocks
 
@@ -82,7 +82,7 @@ _PAIRED_LEAD = (
 def differences(found: Sequence[Variant]) -> list[Block]:
     """Build the section of paired differences, with one folded table per variant."""
     tables = [(variant, table) for variant in found if (table := _differences_table(variant))]
-    folds: list[Block] = [Fold(f"Paired differences: {variant.label}", [table]) for variant, table in tables]
+    folds: list[Block] = [Collapsible(f"Paired differences: {variant.label}", [table]) for variant, table in tables]
     return [Paragraph(_PAIRED_LEAD), *(folds or [missing("No task has the scores of two methods.")])]
 
 
@@ -101,7 +101,7 @@ def _differences_table(variant: Variant) -> Table | None:
     return Table(f"Paired differences of the score, {variant.label}", _HEADER, lines, kinds)
 
 
-def _line(pair: tuple[str, str], vehicle: str, result: Paired, corrected: float | None) -> list[str]:
+def _line(pair: tuple[str, str], vehicle: str, result: PairedDifference, corrected: float | None) -> list[str]:
     compared = f"{METHODS[pair[0]]} - {METHODS[pair[1]]}"
     ends = between(result.interval, 3, "+") or "one scene: none"
     counts = [str(result.scenes), str(result.tasks)]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Panels, Paragraph, Plot, missing
 from shift3d.analysis.html.figure import axis, marks, plot
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.sensors import transfer_table
@@ -49,8 +49,10 @@ def _grids(grid: pd.DataFrame, found: Sequence[Variant], key: str, lead: str, no
     if not grids:
         return [missing(nothing)]
     drawn = [_plot(variant, cells, key) for variant, cells in grids]
-    folds = [Fold(f"Grid: {variant.label}", [part]) for (variant, _), part in zip(grids[_SHOWN:], drawn[_SHOWN:])]
-    tables = Fold("The same as tables", [_table(variant, cells) for variant, cells in grids])
+    folds = [
+        Collapsible(f"Grid: {variant.label}", [part]) for (variant, _), part in zip(grids[_SHOWN:], drawn[_SHOWN:])
+    ]
+    tables = Collapsible("The same as tables", [_table(variant, cells) for variant, cells in grids])
     return [Paragraph(lead), Panels(drawn[:_SHOWN], "wide"), *folds, tables]
 
 

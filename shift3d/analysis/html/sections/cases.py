@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from shift3d.analysis.cases.chosen import Case, hardest
-from shift3d.analysis.cases.rendered import Loaded, Rendered, render_again
-from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Terms, missing
-from shift3d.analysis.html.scene_figures import from_above, turnable
+from shift3d.analysis.cases.rendered import PageCache, Rendered, rerender
+from shift3d.analysis.cases.selection import Case, hardest
+from shift3d.analysis.html.blocks import Article, Block, Collapsible, Command, Paragraph, Terms, missing
+from shift3d.analysis.html.scene_figures import paired_3d_views, top_views
 from shift3d.analysis.html.sections.paths import case_path
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.patterns import NAMES
@@ -21,7 +21,7 @@ from shift3d.vehicles.mesh_measures import DEFINITIONS, Measures
 from shift3d.wording import counted
 
 
-def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> list[Block]:
+def hard_cases(sweep: Sweep, loaded: PageCache, count: int = 4) -> list[Block]:
     """Build the section: the most harmful solutions rendered again. A case that cannot be loaded is only named."""
     unnatural = sweep.unnatural
     chosen = hardest(sweep.scores, count, unnatural)
@@ -37,7 +37,7 @@ def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> list[Block]:
         f"{counted(len(chosen), 'solution')} whose score fell furthest below the baseline's of the same task, other "
         f"vehicles and scenes first.{_left_out(unnatural, chosen)} Drag a vehicle to turn both."
     )
-    return [Paragraph(lead), *parts, Fold("How the meshes are measured", [Terms(DEFINITIONS)])]
+    return [Paragraph(lead), *parts, Collapsible("How the meshes are measured", [Terms(DEFINITIONS)])]
 
 
 def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
@@ -50,14 +50,14 @@ def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
     return f" {which} unnatural: there are not enough others."
 
 
-def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
+def _case(sweep: Sweep, case: Case, number: int, loaded: PageCache) -> Article:
     (task,) = sweep.plan.tasks.starting_with(case.task_id)
     both = [row.to_dict() for row in sweep.pair_of(case.task_id)]
     centre = np.mean([[row["x_m"], row["y_m"]] for row in both], axis=0)
-    before, after = (render_again(task, row, centre, loaded) for row in both)
+    before, after = (rerender(task, row, centre, loaded) for row in both)
     key = f"case-{number}"
     path = case_path(key, sweep.trajectories[sweep.trajectories["task_id"] == case.task_id])
-    views, buttons = turnable(key, case, before, after)
+    views, buttons = paired_3d_views(key, case, before, after)
     name = f"{sweep.vehicle_words(case.task_id)}, {case.mode.replace('_', ' and ')}"
     return Article(
         key,
@@ -66,8 +66,8 @@ def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
             Paragraph(what_changed(case, before, after)),
             views,
             buttons,
-            from_above(key, case, before, after, centre),
-            Fold("Measures, steps of the search, and settings", [*_measures(case, number, before, after), path,
+            top_views(key, case, before, after, centre),
+            Collapsible("Measures, steps of the search, and settings", [*_measures(case, number, before, after), path,
                  Paragraph(_settings(case, task.spec)), Paragraph(_scored_again(case, before, after))]),
             Command("Take it away (OUT is this page's folder):",
                     f"shift3d export OUT task={case.task_id} method=adversarial to=hard_case_{number}"),
@@ -79,7 +79,7 @@ def what_changed(case: Case, before: Rendered, after: Rendered) -> str:
     """Describe the change of shape, place or both."""
     if case.mode == "pose":
         return f"What changed: {_moved(before, after)}; its shape is the baseline's."
-    shape = in_words(before.measures, after.measures)
+    shape = describe_changes(before.measures, after.measures)
     return f"What changed: {shape}" + (f" Its place: {_moved(before, after)}." if case.mode == "shape_pose" else "")
 
 
@@ -155,7 +155,7 @@ def _with_unit(value: float | None, unit: str, digits: int) -> str:
     return "not measured" if value is None else f"{value:.{digits}f} {unit}".strip()
 
 
-def in_words(before: Measures, after: Measures) -> str:
+def describe_changes(before: Measures, after: Measures) -> str:
     """Describe the changes of measures in a sentence."""
     parts = []
     for field, (less, more, least) in _WORDS.items():

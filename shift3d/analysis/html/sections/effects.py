@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.sweep import effects_figure
-from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Picture, Terms, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Paragraph, Picture, Terms, missing
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.effects import MEANINGS, EffectImpact, effect_impacts, effect_milliseconds, effect_table
 from shift3d.errors import InputError
@@ -32,5 +32,5 @@ def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
             "An effect whose whole bar lies below the dashed line is left out by effects=auto.",
         ),
         effect_table(impacts),
-        Fold("What the columns mean", [Terms(MEANINGS)]),
+        Collapsible("What the columns mean", [Terms(MEANINGS)]),
     ]

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from shift3d.analysis.cases.chosen import Case, falls, random_positions
-from shift3d.analysis.cases.rendered import Loaded, oriented
+from shift3d.analysis.cases.rendered import PageCache, oriented
+from shift3d.analysis.cases.selection import Case, falls, random_positions
 from shift3d.analysis.html.blocks import Block, Panels, Paragraph, Picture
 from shift3d.analysis.html.scene_figures import side_by_side
 from shift3d.analysis.results import Sweep
@@ -21,7 +21,7 @@ _RESOLUTION = 72  # mesh resolution: 7 cm
 THREE_RGB = ((0.55, 0.57, 0.60), (0.86, 0.42, 0.12), (0.18, 0.56, 0.79))
 
 
-def gallery(sweep: Sweep, loaded: Loaded) -> list[Block]:
+def gallery(sweep: Sweep, loaded: PageCache) -> list[Block]:
     """Build the section: one tile per task, whatever its outcome. A tile that cannot be drawn shows the reason."""
     positions = random_positions(len(sweep.plan.tasks), _COUNT, sweep.plan.spec_hash)
     scored = {case.task_id: case for case in falls(sweep.scores)}
@@ -42,7 +42,7 @@ def gallery(sweep: Sweep, loaded: Loaded) -> list[Block]:
     return [Paragraph(lead), Panels(tiles, "tiles")]
 
 
-def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loaded: Loaded) -> Picture:
+def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loaded: PageCache) -> Picture:
     spec = task.spec
     weight = "" if spec.lambda_ is None else f", lambda {spec.lambda_:g}"
     vehicle = spec.vehicle.replace("_", " ") if case is None else sweep.vehicle_words(spec.task_id)
@@ -66,7 +66,7 @@ def drawn(draw: Callable[[], bytes], alt: str, caption: str) -> Picture:
         return Picture(None, f"cannot be drawn: {error.what}", caption)
 
 
-def _pair(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> bytes:
+def _pair(sweep: Sweep, task: PlannedTask, loaded: PageCache) -> bytes:
     """Render baseline and adversarial vehicle side by side, seen from the sensor, slightly from above."""
     meshes, towards_sensor = [], []
     for row in sweep.pair_of(task.spec.task_id):

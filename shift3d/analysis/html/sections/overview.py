@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Terms, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Items, Paragraph, Terms, missing
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, rows_by_status, stage_times
@@ -25,7 +25,7 @@ def choices(sweep: Sweep) -> list[Block]:
     """Build the section of choices: one table per parameter, one sentence per choice."""
     if sweep.choices.empty:
         return [missing("This sweep holds no two values of alpha or lambda.")]
-    why = Fold("Why each was chosen", [Items(reasons(sweep.choices))])
+    why = Collapsible("Why each was chosen", [Items(reasons(sweep.choices))])
     return [Paragraph(_RULE), *choice_tables(sweep.choices), why]
 
 
@@ -40,7 +40,7 @@ def coverage(sweep: Sweep) -> list[Block]:
     lines += [line.strip() for line in skipped_lines(sweep.plan)]
     complete = len(lines) == 1 and sweep.scored["task_id"].nunique() == planned
     lead = "Nothing failed and nothing is missing." if complete else "What is missing, and why."
-    rows = Fold("Rows by method and status", [rows_by_status(sweep.scores)])
+    rows = Collapsible("Rows by method and status", [rows_by_status(sweep.scores)])
     return [Paragraph(lead), Items(lines), rows]
 
 
@@ -98,10 +98,10 @@ def _cost(sweep: Sweep) -> list[Block]:
     tasks = timings["task_id"].nunique()
     seconds = float(timings.loc[timings["stage"] == "total", "milliseconds"].sum()) / 1e3
     text = f"{counted(tasks, 'task')} took {duration(seconds)} on one thread each, {duration(seconds / tasks)} a task."
-    return [Paragraph(text), Fold("Time by stage", [stage_times(timings, sweep.scores)])]
+    return [Paragraph(text), Collapsible("Time by stage", [stage_times(timings, sweep.scores)])]
 
 
-def _versions(sweep: Sweep) -> Fold:
+def _versions(sweep: Sweep) -> Collapsible:
     env = sweep.environment
     lines = [["shift3d", str(env.get("shift3d", "-"))], ["Python", str(env.get("python", "-"))]]
     lines += [[str(name), str(version)] for name, version in sorted(env.get("libraries", {}).items())]
@@ -111,4 +111,4 @@ def _versions(sweep: Sweep) -> Fold:
         Table("Versions", ["what", "version"], lines),
         Table("Weights, BLAKE2b", ["what", "hash"], [list(pair) for pair in weights]),
     ]
-    return Fold("Versions and weights", [Paragraph(machine), *tables])
+    return Collapsible("Versions and weights", [Paragraph(machine), *tables])

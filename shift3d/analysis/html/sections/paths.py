@@ -27,7 +27,7 @@ _LEAD = (
 
 def paths(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     """Build the section: mean path with band of each search. Only searches scored by the attacked detector count."""
-    own = [(variant, searched(sweep, variant)) for variant in found if variant.is_own]
+    own = [(variant, searched(sweep, variant)) for variant in found if variant.scores_itself]
     parts = [(f"Steps: {variant.label}", [_plot(variant, rows)]) for variant, rows in own if len(rows)]
     return [Paragraph(_LEAD), *folded(parts, shown=2)] if parts else [_MISSING]
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Plot, Terms, folded, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Paragraph, Plot, Terms, folded, missing
 from shift3d.analysis.html.figure import axis, bars, marks, plot
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rules_objects, rules_table
+from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rule_objects, rules_table
 from shift3d.analysis.tables.patterns import Pattern, pattern_groups, patterns_table
 from shift3d.errors import InputError
 from shift3d.vehicles.mesh_measures import DEFINITIONS
@@ -22,7 +22,7 @@ _RULES_LEAD = (
 
 def rules(sweep: Sweep) -> list[Block]:
     """Build the section of failure rules, or a sentence if a sweep has too few scenes or no rule."""
-    objects = rules_objects(sweep)
+    objects = rule_objects(sweep)
     try:
         found = failure_rules(objects)
     except InputError as error:
@@ -52,7 +52,7 @@ def patterns(sweep: Sweep) -> list[Block]:
     lacking: list[Block] = [missing(_UNMEASURED)] if unmeasured else []
     if not parts:
         return lacking or [missing("No task has a solution.")]
-    meanings = Fold("How the meshes are measured", [Terms(DEFINITIONS)])
+    meanings = Collapsible("How the meshes are measured", [Terms(DEFINITIONS)])
     return [Paragraph(_LEAD), *lacking, *folded(parts, shown=2), meanings]
 
 

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from shift3d.analysis.cases.chosen import random_positions
-from shift3d.analysis.cases.rendered import Loaded
+from shift3d.analysis.cases.rendered import PageCache
+from shift3d.analysis.cases.selection import random_positions
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Block, Command, Heading, Panels, Paragraph, Picture, Plot, missing
 from shift3d.analysis.html.scene_figures import side_by_side
 from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
 from shift3d.analysis.html.sections.gallery import THREE_RGB, drawn
 from shift3d.analysis.results import Sweep, places_of
-from shift3d.analysis.tables.retrieval import controls_of, kept, kin_of, pool_table, retrieval_table
+from shift3d.analysis.tables.retrieval import controls_of, kept, pool_table, pool_vehicle_of, retrieval_table
 from shift3d.naturalness.decoded import decoded_mesh
 from shift3d.wording import counted
 
@@ -33,7 +33,7 @@ _CURVES = {
 }
 
 
-def retrieval(sweep: Sweep, loaded: Loaded) -> list[Block]:
+def retrieval(sweep: Sweep, loaded: PageCache) -> list[Block]:
     """Build the section; if no vehicles were retrieved, show the command to run."""
     if sweep.retrieved.empty:
         nothing = missing("Nobody has looked for natural vehicles that are like these shapes.")
@@ -60,20 +60,20 @@ def kin_curves(rows: pd.DataFrame, controls: pd.DataFrame) -> Plot:
     return recall_plot("curve-retrieval", found, label, f"{label}; bands redraw the solutions' scenes alone")
 
 
-def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> Picture:
+def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: PageCache) -> Picture:
     scores = " → ".join(f"{row[name]:.2f}" for name in ("score_baseline", "score_solution", "score"))
     caption = f"{row['vehicle'].replace('_', ' ')}: {scores}"
     alt = f"{row['vehicle']} in scene {row['scene']}: baseline, adversarial, and the vehicle of {row['pool_scene']}"
     return drawn(lambda: _three(sweep, row, loaded), alt, caption)
 
 
-def _three(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> bytes:
+def _three(sweep: Sweep, row: dict[str, Any], loaded: PageCache) -> bytes:
     """Render three vehicles side by side from the front left, slightly from above, at one scale."""
     (task,) = sweep.plan.tasks.starting_with(row["task_id"])
     assets, pool = loaded.assets(task), sweep.vehicle_pool
-    kin = kin_of(pool, row)
+    kin = pool_vehicle_of(pool, row)
     meshes = [
-        decoded_mesh(assets.drawn_vehicle(task.spec, own), assets.decoder, np.array(own["latent_code"]))
+        decoded_mesh(assets.rendered_vehicle(task.spec, own), assets.decoder, np.array(own["latent_code"]))
         for own in sweep.pair_of(row["task_id"])
     ]
     own = assets.vehicle(task.spec)

@@ -6,7 +6,7 @@ import pandas as pd
 
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.sweep import stability_figure
-from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph, Picture, Terms, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Heading, Items, Paragraph, Picture, Terms, missing
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_meanings, preset_table
 from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
@@ -16,7 +16,7 @@ def accuracy(sweep: Sweep) -> list[Block]:
     """Build the section of accuracy: audit of the sweep's objects, and the presets as a frontier measured them."""
     audited = Items([*accuracy_cost(sweep.scores, sweep.timings), diagnostics(sweep.scores)])
     lead = Paragraph("Beams of each object are rendered again at reference accuracy.")
-    explained = Fold("What the columns mean", [Terms(preset_meanings())])
+    explained = Collapsible("What the columns mean", [Terms(preset_meanings())])
     return [lead, audited, preset_table(), explained]
 
 
@@ -42,5 +42,5 @@ def stability_blocks(verification: pd.DataFrame, shown: int | None) -> list[Bloc
         Picture(png(stability_figure(verification)), _ALT),
         Heading(f"{unstable} unstable"),
         listed,
-        Fold("What the columns mean", [Terms(MEANINGS)]),
+        Collapsible("What the columns mean", [Terms(MEANINGS)]),
     ]

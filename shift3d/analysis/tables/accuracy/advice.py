@@ -10,7 +10,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from shift3d.accuracy_time.pareto import MISPLACED_M, dominators_of, effective_error_m, knee, misplaced, warm_starts
+from shift3d.accuracy_time.pareto import (
+    MISPLACED_M,
+    dominating_rows_of_table,
+    effective_error_m,
+    knee,
+    misplaced_share,
+    warm_starts,
+)
 from shift3d.analysis.tables.table import factor, length, milliseconds, share
 from shift3d.wording import counted
 
@@ -29,7 +36,7 @@ def advice(frame: pd.DataFrame) -> str:
     paragraphs = []
     for scenes in dict.fromkeys(frame["scenes"]):
         rows = frame[frame["scenes"] == scenes].reset_index(drop=True)
-        rows["error_m"], rows["misplaced"] = effective_error_m(rows), misplaced(rows)
+        rows["error_m"], rows["misplaced"] = effective_error_m(rows), misplaced_share(rows)
         rows["warm"] = warm_starts(rows)
         presets = {row["preset"]: row for _, row in rows[rows["preset"].notna()].iterrows()}
         sentences = [_costs(rows, str(scenes), presets)]
@@ -158,7 +165,7 @@ def _knee(rows: pd.DataFrame) -> str:
 
 def _dominated(rows: pd.DataFrame) -> list[str]:
     """Describe which settings are dominated by which, starting with the setting that dominates most."""
-    by = dominators_of(rows)
+    by = dominating_rows_of_table(rows)
     losers = np.flatnonzero(by >= 0)
     if not len(losers):
         return ["No setting is dominated."]

@@ -6,7 +6,7 @@ import argparse
 
 from shift3d.cli.command import Command, key_values, local_path
 from shift3d.cli.completion import key_words
-from shift3d.detectors.names import COMPILED, DETECTOR_NAMES
+from shift3d.detectors.names import DETECTOR_NAMES, ONNX_EXPORTABLE
 from shift3d.errors import InputError
 
 _KEYS = ("detector", "weights", "to")
@@ -14,7 +14,7 @@ _KEYS = ("detector", "weights", "to")
 _DESCRIPTION = f"""\
 Writes a detector of shift3d as an ONNX file: points (N, 3), any N, to boxes (A, 7) and scores (A,), one a proposal,
 before suppression (docs/guides/detectors.md). Compares the scores of both on two streets first, and writes nothing
-where they differ by more than 1e-3. {" and ".join(COMPILED)} can be compiled.
+where they differ by more than 1e-3. {" and ".join(ONNX_EXPORTABLE)} can be compiled.
 Needs: pip install 'shift3d[onnx]'."""
 
 _EPILOG = """\
@@ -29,7 +29,7 @@ def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, _KEYS, ("detector", "to"), "compile")
     if values["detector"] not in DETECTOR_NAMES:
         raise InputError(
-            f"detector={values['detector']} cannot be compiled", "compile", f"One of: {', '.join(COMPILED)}"
+            f"detector={values['detector']} cannot be compiled", "compile", f"One of: {', '.join(ONNX_EXPORTABLE)}"
         )
     target = local_path(values["to"], "to")
     if target.suffix != ".onnx":
@@ -38,10 +38,10 @@ def _run(arguments: argparse.Namespace) -> int:
 
     check_writable(target.parent, "to=FILE.onnx")
     from shift3d.processor import configure_runtime
-    from shift3d.settings.catalogue.compiled import compiled_network
+    from shift3d.settings.catalogue.compiled import export_onnx_detector
 
     configure_runtime()
-    content, worst = compiled_network(values["detector"], values.get("weights"))
+    content, worst = export_onnx_detector(values["detector"], values.get("weights"))
     write_atomic(target, content)
     print(f"{target}: {len(content) / 2**20:.0f} MiB, scores within {worst:.1g} of {values['detector']}'s")
     return 0
@@ -54,5 +54,5 @@ COMMAND = Command(
     _EPILOG,
     _run,
     words="detector=NAME to=FILE.onnx [weights=FILE]",
-    complete=key_words(_KEYS, {"detector": COMPILED}),
+    complete=key_words(_KEYS, {"detector": ONNX_EXPORTABLE}),
 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command, choice, key_values, refuse, share, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.detector_words import DETECTOR_KEYS, detector_files
+from shift3d.cli.detector_arguments import DETECTOR_KEYS, detector_files
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 from shift3d.errors import InputError
 

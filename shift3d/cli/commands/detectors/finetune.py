@@ -20,10 +20,10 @@ from shift3d.cli.outcomes import mirror
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
-from shift3d.signals import taken_signals
+from shift3d.signals import received_signals
 
 if TYPE_CHECKING:
-    from shift3d.finetuning.report import Tuned
+    from shift3d.finetuning.report import TunedModel
     from shift3d.settings.schema.config import Config
 
 _DESCRIPTION = """\
@@ -62,7 +62,7 @@ _HELD_OUT = "held_out."
 
 
 @dataclass(frozen=True)
-class FinetuneRequest:
+class FinetuneArguments:
     """Parsed command line. words: overrides of all three sweeps; held_out: further overrides of the held-out sweeps."""
 
     words: list[str]
@@ -87,7 +87,7 @@ class FinetuneRequest:
 
 
 @dataclass(frozen=True)
-class Step:
+class PipelineStep:
     """One command of the pipeline, with its words."""
 
     command: Command
@@ -102,7 +102,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--steps", action="store_true", help="print the commands and run none")
 
 
-def read_request(words: Sequence[str], quick: bool = False) -> FinetuneRequest:
+def read_request(words: Sequence[str], quick: bool = False) -> FinetuneArguments:
     """Parse the words of the command line. Raises: InputError: a key without a value, or an invalid value."""
     own = [word for word in words if word.partition("=")[0] in _KEYS]
     held_out = [word.removeprefix(_HELD_OUT) for word in words if word.startswith(_HELD_OUT)]
@@ -116,7 +116,7 @@ def read_request(words: Sequence[str], quick: bool = False) -> FinetuneRequest:
         raise InputError(f"seeds={seeds!r} are no different whole numbers", "finetune", "Give seeds=0,1,2")
     on = {name: flag(values, name, default, "finetune") for name, default in _FLAGS.items()}
     rate, others, out = (values.get(name) for name in ("rate", "others", "out"))
-    return FinetuneRequest(rest, held_out, numbers, streets, rate, others, **on, out=out)
+    return FinetuneArguments(rest, held_out, numbers, streets, rate, others, **on, out=out)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -148,16 +148,16 @@ def _run(arguments: argparse.Namespace) -> int:
     return int(ExitCode.INCOMPLETE if incomplete else ExitCode.DONE)
 
 
-def run_step(step: Step) -> int:
+def run_step(step: PipelineStep) -> int:
     """Run one command of the pipeline and return its exit code. After a stop signal the code is INTERRUPTED even if the
     command finished, so that the next command does not start."""
     print(f"\n$ {step}", flush=True)
-    before = taken_signals()
+    before = received_signals()
     code = run_command(step.command, step.words)
-    return code if taken_signals() == before else int(ExitCode.INTERRUPTED)
+    return code if received_signals() == before else int(ExitCode.INTERRUPTED)
 
 
-def _checked(request: FinetuneRequest) -> tuple[Config, str]:
+def _checked(request: FinetuneArguments) -> tuple[Config, str]:
     """Check the three sweeps; return the settings and the spec hash of the training sweep.
 
     Raises: InputError: held-out scenes that the training sweep attacks or the weights were tuned on, streets of a split
@@ -198,15 +198,19 @@ def _checked(request: FinetuneRequest) -> tuple[Config, str]:
     return config, plans[0].spec_hash
 
 
-def _models(folder: Path, detector: str, request: FinetuneRequest) -> list[Tuned]:
-    from shift3d.finetuning.report import Tuned
+def _models(folder: Path, detector: str, request: FinetuneArguments) -> list[TunedModel]:
+    from shift3d.finetuning.report import TunedModel
 
     names = ["finetuned", "control"] if request.control else ["finetuned"]
     rate = f"-rate{request.rate}" if request.rate else ""
-    return [Tuned(name, seed, folder / f"{name}{rate}-{seed}", detector) for name in names for seed in request.seeds]
+    return [
+        TunedModel(name, seed, folder / f"{name}{rate}-{seed}", detector) for name in names for seed in request.seeds
+    ]
 
 
-def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Sequence[Tuned]) -> Iterator[Step]:
+def steps_of(
+    folder: Path, config: Config, request: FinetuneArguments, models: Sequence[TunedModel]
+) -> Iterator[PipelineStep]:
     """Yield the commands of the pipeline in order."""
     from shift3d.finetuning.report import HELD_OUT, NATURAL
     from shift3d.processor import usable_cpus
@@ -219,15 +223,15 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
     detector, own_weights = config.detector.name, config.detector.own_weights
     attacked = folder / "attacked"
 
-    def swept(name: str, out: Path, *more: str) -> Step:
-        return Step(sweep.COMMAND, [name, *request.overrides_of(name), *more, f"out={out}"])
+    def swept(name: str, out: Path, *more: str) -> PipelineStep:
+        return PipelineStep(sweep.COMMAND, [name, *request.overrides_of(name), *more, f"out={out}"])
 
-    def measured(out: Path, weights: str | None) -> Step:
+    def measured(out: Path, weights: str | None) -> PipelineStep:
         words = [f"detector={detector}", f"count={request.streets}", f"workers={workers}"]
-        return Step(evaluate.COMMAND, [*words, *([f"weights={weights}"] if weights else []), f"out={out}"])
+        return PipelineStep(evaluate.COMMAND, [*words, *([f"weights={weights}"] if weights else []), f"out={out}"])
 
     yield swept(_SWEEPS[0], attacked)
-    yield Step(verify.COMMAND, [str(attacked), *(word for word in request.words if word.startswith("runner"))])
+    yield PipelineStep(verify.COMMAND, [str(attacked), *(word for word in request.words if word.startswith("runner"))])
     for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
         yield swept(name, folder / place)
     yield measured(folder / "vanilla" / NATURAL, own_weights)
@@ -242,7 +246,7 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
         ]
         # One thread, so that the weights do not depend on the number of workers.
         words += [f"recipe.seed={tuned.seed}", *rate, "threads=1", f"mlflow={mlflow}", f"out={tuned.folder}"]
-        yield Step(train.COMMAND, words)
+        yield PipelineStep(train.COMMAND, words)
         yield measured(tuned.folder / NATURAL, str(tuned.weights))
         for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
             if tuned.model == "finetuned" and request.adaptive:

@@ -8,7 +8,7 @@ from typing import Any
 
 from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.detector_words import DETECTOR_KEYS, detector_files, detector_name
+from shift3d.cli.detector_arguments import DETECTOR_KEYS, detector_files, detector_name
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 
 KEYS = (
@@ -53,9 +53,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     from shift3d.analysis.gate import GateSettings, run_gate
-    from shift3d.analysis.mlflow.measured import mirror_gate
+    from shift3d.analysis.mlflow.measurement_runs import mirror_gate
     from shift3d.analysis.mlflow.store_uri import check_store
-    from shift3d.analysis.statistics.releases import Rule
+    from shift3d.analysis.statistics.releases import ReleaseRule
     from shift3d.store.resolve import as_location
     from shift3d.suite.frozen import read_suite
     from shift3d.suite.releases import refuse_unknown_name
@@ -75,7 +75,7 @@ def _run(arguments: argparse.Namespace) -> int:
     accept: Any = values.get("accept", "false")
     if accept != "false":
         releases.check_writable("releases=DIR")  # checked before the scoring
-    settings = GateSettings(Rule(**shares), workers, against, accept, called)
+    settings = GateSettings(ReleaseRule(**shares), workers, against, accept, called)
     outcome = run_gate(suite, scorer, releases, as_location(out), settings)
     print(outcome.text)
     if outcome.compared and uri != "none" and (problem := mirror_gate(out, uri)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from shift3d.cli.command import FINISHED, Command, choice, key_values, whole_number
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command, choice, key_values, whole_number
 from shift3d.cli.completion import key_words
 from shift3d.methods import METHODS
 from shift3d.wording import counted
@@ -40,20 +40,20 @@ def _run(arguments: argparse.Namespace) -> int:
     seed = whole_number(values, "seed", 0, "suite", least=0)
     count = whole_number(values, "count", 500, "suite")
     from shift3d.analysis.statistics.loss import least_p_value
-    from shift3d.analysis.statistics.releases import Rule
+    from shift3d.analysis.statistics.releases import ReleaseRule
     from shift3d.processor import configure_runtime
-    from shift3d.suite.choosing import Choice
     from shift3d.suite.freezing import freeze_suite
+    from shift3d.suite.selection import SelectionRule
 
     configure_runtime()
-    chosen = Choice(given["method"], count, given["choose"], seed, given["controls"] == "true")  # type: ignore[arg-type]
+    chosen = SelectionRule(given["method"], count, given["choose"], seed, given["controls"] == "true")  # type: ignore[arg-type]
     frozen = freeze_suite(arguments.out, values["to"], chosen, given["frames"])  # type: ignore[arg-type]
     suite, manifest = frozen.suite, frozen.suite.manifest
     size = sum((suite.folder / name).size() for name in manifest["files"]) / 1e6
     hard, controls, scenes = (manifest[name] for name in ("hard_objects", "control_objects", "scenes"))
     parts = [counted(hard, "hard object"), counted(controls, "control"), counted(scenes, "scene")]
     print(f"{suite.folder}: {', '.join(parts)}, {size:.1f} MB, digest {suite.digest}")
-    if least_p_value(scenes) > Rule().level:
+    if least_p_value(scenes) > ReleaseRule().level:
         print("a gate refuses so few scenes, where no loss is significant: freeze a sweep over five or more")
     for reason, number in frozen.left_out.items():
         print(f"left out: {number} {reason}")
@@ -72,7 +72,7 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    FINISHED,
+    FINISHED_SWEEP_HELP,
     "to=DIR [method=M] [count=N] [choose=random|hardest] [seed=N] [controls=false] [frames=referenced]",
     complete=key_words(_KEYS, _VALUES),
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, key_values, refuse, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
+from shift3d.cli.mesh_arguments import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.wording import counted
@@ -196,9 +196,9 @@ def _train_on_meshes(values: dict[str, str]) -> int:
     options = _options({**values, "out": values.get("out", "outputs/train-vehicles")})
     with _curves(values, "sdf", options) as report:
         if frame is None:
-            from shift3d.training.sdf.parametric import train_wide
+            from shift3d.training.sdf.parametric import train_wide_family
 
-            chamfer_cm = sorted(train_wide(options.out, options.compute(), options.count, options.steps, report))
+            chamfer_cm = sorted(train_wide_family(options.out, options.compute(), options.count, options.steps, report))
         else:
             from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import FINISHED, Command, flag, key_values, whole_number, writable_folder
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command, flag, key_values, whole_number, writable_folder
 from shift3d.cli.completion import key_words
 from shift3d.errors import InputError
 from shift3d.methods import METHODS
@@ -80,7 +80,7 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    FINISHED,
+    FINISHED_SWEEP_HELP,
     "task=ID method=M to=DIR [replicate=N] [overwrite=true]",
     complete=key_words(_KEYS, _VALUES),
 )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 from shift3d.cli.outcomes import interrupted
-from shift3d.cli.words import RUNNER, runner_of
+from shift3d.cli.sweep_arguments import RUNNER_ARGUMENT, compose_runner
 from shift3d.exit_codes import ExitCode
 
 _DESCRIPTION = """\
@@ -30,7 +30,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.sweep.follow_up import measure_patterns
 
     configure_runtime()
-    result = measure_patterns(arguments.out, runner_of(arguments.words, "patterns"))
+    result = measure_patterns(arguments.out, compose_runner(arguments.words, "patterns"))
     if result.final is None:
         return interrupted(result, "measured")
     sweep = read_sweep(arguments.out)
@@ -42,5 +42,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 COMMAND = Command(
-    "patterns", "measure what a sweep's attacks change", _DESCRIPTION, _EPILOG, _run, FINISHED, *RUNNER, resumes=True
+    "patterns",
+    "measure what a sweep's attacks change",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    FINISHED_SWEEP_HELP,
+    *RUNNER_ARGUMENT,
+    resumes=True,
 )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 from shift3d.cli.completion import retrieval_words
 from shift3d.cli.outcomes import interrupted
-from shift3d.cli.words import take_folders
+from shift3d.cli.sweep_arguments import pop_folders
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
-from shift3d.signals import taken_signals
+from shift3d.signals import received_signals
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
@@ -51,15 +51,15 @@ def _run(arguments: argparse.Namespace) -> int:
     if all(group.template.mode == "pose" for group in sweep.tasks.groups()):
         what = "no task searched a shape: nothing to retrieve"
         raise InputError(what, str(folder), "Give a sweep of mode=shape or shape_pose")
-    named, words = take_folders("pool", arguments.words)
+    named, words = pop_folders("pool", arguments.words)
     made, config = make_plan(compose_sweep("retrieval", words), read_catalogue)
     plan = pool_plan(made)
     pool = named[-1] if named else default_folder(plan)
     check_decoders(sweep, plan, str(pool))
     print(f"fitting the labelled vehicles of {counted(len(plan.tasks), 'scene')} into {pool}", flush=True)
-    before = taken_signals()
+    before = received_signals()
     fitted = build_pool(pool, plan, config.runner)
-    if fitted.final is None or taken_signals() > before:
+    if fitted.final is None or received_signals() > before:
         return interrupted(fitted)
     print(f"\n{pool_table(fitted.final.frame('vehicle_pool'))}\n", flush=True)
     scored = retrieve(folder, pool, config.runner)
@@ -78,7 +78,7 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    FINISHED,
+    FINISHED_SWEEP_HELP,
     "settings of sweeps/retrieval.yaml; pool=DIR",
     complete=retrieval_words,
     resumes=True,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 
 _DESCRIPTION = """\
 Says what the objects share that the detector misses: range, angle to the line of sight, tilt, length, width, height
@@ -24,9 +24,9 @@ two detectors need detector.scored_by=null."""
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.results import read_sweep
-    from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rules_objects, rules_table
+    from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rule_objects, rules_table
 
-    objects = rules_objects(read_sweep(arguments.out))
+    objects = rule_objects(read_sweep(arguments.out))
     rules = failure_rules(objects)
     if rules:
         print(rules_table(rules))
@@ -37,4 +37,4 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("rules", "find what missed objects have in common", _DESCRIPTION, _EPILOG, _run, FINISHED)
+COMMAND = Command("rules", "find what missed objects have in common", _DESCRIPTION, _EPILOG, _run, FINISHED_SWEEP_HELP)

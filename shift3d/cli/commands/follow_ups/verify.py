@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 
-from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 from shift3d.cli.outcomes import interrupted
-from shift3d.cli.words import RUNNER, runner_of
+from shift3d.cli.sweep_arguments import RUNNER_ARGUMENT, compose_runner
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
@@ -38,7 +38,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     folder = as_location(arguments.out)
-    runner = runner_of(arguments.words, "verify")
+    runner = compose_runner(arguments.words, "verify")
     plan = solved_tasks(folder)
     print(f"verifying {counted(len(plan.tasks), 'task')} of {folder}", flush=True)
     result = verify_sweep(folder, plan, runner)
@@ -61,7 +61,7 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    FINISHED,
-    *RUNNER,
+    FINISHED_SWEEP_HELP,
+    *RUNNER_ARGUMENT,
     resumes=True,
 )

@@ -69,7 +69,9 @@ class FloorPlan:
         self._corners = np.concatenate((self._corners, corners_bev(rectangle)))
 
 
-def stand_on(items: tuple[Item, ...], x: float, y: float, length_m: float, width_m: float) -> NDArray[np.bool_]:
+def items_overlapping(
+    items: tuple[Item, ...], x: float, y: float, length_m: float, width_m: float
+) -> NDArray[np.bool_]:
     """Mark the items (items,) whose floor rectangle overlaps an axis-aligned rectangle centred at scene (x, y)."""
     rectangle = corners_bev(np.array([[x, y, 0.0, length_m, width_m, 1.0, 0.0]]))[0]
     floors = np.array([[item.x, item.y, 0.0, *item.size_m, item.heading_rad] for item in items]).reshape(-1, 7)

@@ -26,14 +26,14 @@ def furnish_roadside(plan: FloorPlan, ground: Ground, kind: str, rng: np.random.
         if kind != "plaza":
             _trees_and_poles(plan, ground, rng, side, sparse=kind == "open")
     if kind == "plaza":
-        _sprinkle(plan, ground, rng, "pole", int(rng.integers(3, 10)), (10.0, 55.0))
-        _sprinkle(plan, ground, rng, "tree", int(rng.integers(0, 10)), (12.0, 60.0))
-    _sprinkle(plan, ground, rng, "tree", int(rng.integers(0, 8)), (15.0, 70.0), off_road=True)
+        _scatter_items(plan, ground, rng, "pole", int(rng.integers(3, 10)), (10.0, 55.0))
+        _scatter_items(plan, ground, rng, "tree", int(rng.integers(0, 10)), (12.0, 60.0))
+    _scatter_items(plan, ground, rng, "tree", int(rng.integers(0, 8)), (15.0, 70.0), off_road=True)
     for confuser in ("dumpster", "container", "cabinet", "barrier", "bush"):
-        _sprinkle(plan, ground, rng, confuser, int(rng.integers(0, 4)), (8.0, 60.0), off_road=rng.random() < 0.7)
-    _sprinkle(plan, ground, rng, "bush", int(rng.integers(0, 8)), (8.0, 60.0), off_road=True)
-    _sprinkle(plan, ground, rng, "pedestrian", int(rng.integers(0, 10)), (4.0, 45.0))
-    _sprinkle(plan, ground, rng, "cyclist", int(rng.integers(0, 4)), (5.0, 45.0))
+        _scatter_items(plan, ground, rng, confuser, int(rng.integers(0, 4)), (8.0, 60.0), off_road=rng.random() < 0.7)
+    _scatter_items(plan, ground, rng, "bush", int(rng.integers(0, 8)), (8.0, 60.0), off_road=True)
+    _scatter_items(plan, ground, rng, "pedestrian", int(rng.integers(0, 10)), (4.0, 45.0))
+    _scatter_items(plan, ground, rng, "cyclist", int(rng.integers(0, 4)), (5.0, 45.0))
 
 
 def _line_edge(plan: FloorPlan, ground: Ground, kind: str, rng: np.random.Generator, side: float) -> None:
@@ -120,7 +120,7 @@ def _size(kind: str, rng: np.random.Generator) -> tuple[float, float, float]:
     return (float(drawn[0]), float(drawn[1]), float(drawn[2]))
 
 
-def _sprinkle(
+def _scatter_items(
     plan: FloorPlan,
     ground: Ground,
     rng: np.random.Generator,

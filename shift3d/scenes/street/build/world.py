@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from shift3d.scenes.street.build.fleet import Fleet
 from shift3d.scenes.street.build.ground import Ground
-from shift3d.scenes.street.build.item import LABELLED, OWN_CAR_M, Item, stand_on
+from shift3d.scenes.street.build.item import LABELLED, OWN_CAR_M, Item, items_overlapping
+from shift3d.scenes.street.build.item_geometry import ITEM_GEOMETRY, Leaves
 from shift3d.scenes.street.build.layout import Layout
 from shift3d.scenes.street.build.pool import PoolVehicle
-from shift3d.scenes.street.build.things import LOOKS, Leaves
 from shift3d.scenes.street.raycast import Float, Hit, Hits, Intersector, Sweep, hit_instance, hit_leaves
 from shift3d.scenes.street.sensors import Sensor
 from shift3d.scenes.street.shapes import Mesh, Part, merge
@@ -55,16 +55,16 @@ class World:
         foliage: list[tuple[int, Leaves]] = []
         boxes: dict[int, Float] = {}
         vehicles = []
-        away = _in_the_way(layout, driven_m)
+        away = _on_ego_path(layout, driven_m)
         for number, item in enumerate(layout.items):
             if away[number]:
                 continue
             if item.kind == "vehicle":
-                placed_vehicle = _stand(layout.ground, item, number, fleet.vehicle(item.variant))
+                placed_vehicle = _placed_on_wheels(layout.ground, item, number, fleet.vehicle(item.variant))
                 vehicles.append(placed_vehicle)
                 boxes[number] = np.array([*placed_vehicle.position, *placed_vehicle.vehicle.size_m, item.heading_rad])
                 continue
-            parts, leaves = LOOKS[item.kind](item, generator("street-thing", item.variant))
+            parts, leaves = ITEM_GEOMETRY[item.kind](item, generator("street-thing", item.variant))
             z = _lowest_ground(layout.ground, item)
             if item.kind == "pedestrian":
                 z = float(layout.ground.height(np.asarray(item.x), np.asarray(item.y)))
@@ -81,10 +81,10 @@ class World:
     def cast(self, sweep: Sweep, rng: np.random.Generator) -> None:
         """Cast every beam of a sweep at the world and enter its first hit."""
         sweep.cast_static(self.mesh, self.material, self.item)
-        for number, centre, radius_m, hit in self._things(rng):
+        for number, centre, radius_m, hit in self._hit_targets(rng):
             sweep.cast_near(centre, radius_m, hit, number)
 
-    def _things(self, rng: np.random.Generator) -> Iterator[tuple[int, Float, float, Hit]]:
+    def _hit_targets(self, rng: np.random.Generator) -> Iterator[tuple[int, Float, float, Hit]]:
         """Yield vehicles, then leaves: item number, centre and radius of a bounding sphere, first-hit function."""
         for placed in self.vehicles:
             vehicle, pose = placed.vehicle, (placed.scene_R_object, placed.position)
@@ -108,7 +108,7 @@ class World:
         range_m, face, cosine = self.mesh.first_hit(begins.astype(np.float32), directions.astype(np.float32))
         hits = Hits.none(sensor, len(starts))
         hits.enter(np.arange(len(starts)), (range_m, self.material[face], cosine), self.item[face])
-        for number, centre, radius_m, hit in self._things(rng):
+        for number, centre, radius_m, hit in self._hit_targets(rng):
             near = _near(begins, directions, centre, radius_m)
             if len(near):
                 hits.enter(near, hit(begins[near], directions[near]), number)
@@ -124,15 +124,15 @@ def _near(starts: Float, directions: Float, centre: Float, radius_m: float) -> N
     return np.flatnonzero(apart <= radius_m**2)
 
 
-def _in_the_way(layout: Layout, driven_m: float) -> NDArray[np.bool_]:
+def _on_ego_path(layout: Layout, driven_m: float) -> NDArray[np.bool_]:
     """Mark the items (items,) on the floor that the own car covers while it drives driven_m ahead."""
     if not driven_m:
         return np.zeros(len(layout.items), dtype=np.bool_)
     x, y, length_m, width_m = OWN_CAR_M
-    return stand_on(layout.items, x + (length_m + driven_m) / 2, y, driven_m, width_m)
+    return items_overlapping(layout.items, x + (length_m + driven_m) / 2, y, driven_m, width_m)
 
 
-def _stand(ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> PlacedVehicle:
+def _placed_on_wheels(ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> PlacedVehicle:
     length, width, height = vehicle.size_m
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     along = np.array([0.3, 0.3, -0.3, -0.3]) * length

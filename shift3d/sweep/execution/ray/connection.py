@@ -59,7 +59,7 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
             ray.init(address=config.address, **quiet)
         else:
             workers = min(config.workers_on(usable_cpus()), max(tasks_left, 1))
-            with _on_loopback(), _what_a_sweep_needs(), _deaf_to_sigterm():
+            with _on_loopback(), _without_unused_services(), _sigterm_blocked():
                 ray.init(
                     address="local",
                     num_cpus=max(1, math.ceil(workers * config.cpus_per_worker)),
@@ -94,7 +94,7 @@ def _check_token(address: str) -> None:
 
 
 @contextlib.contextmanager
-def _deaf_to_sigterm() -> Iterator[None]:
+def _sigterm_blocked() -> Iterator[None]:
     """Block SIGTERM for processes that start in this context, workers included; Ray itself blocks SIGINT for them.
 
     Programs that end a job (``timeout``, Slurm, systemd) often signal all its processes at once. A driver stops after
@@ -108,7 +108,7 @@ def _deaf_to_sigterm() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _what_a_sweep_needs() -> Iterator[None]:
+def _without_unused_services() -> Iterator[None]:
     """Keep a starting Ray from starting processes that no sweep uses, for which ``ray.init`` has no option.
 
     These are the log reader for a driver that wants no logs, the autoscaler's monitor, and the server of a disabled

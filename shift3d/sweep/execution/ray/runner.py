@@ -25,10 +25,10 @@ from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.backlog import Backlog, BatchSizer
 from shift3d.sweep.execution.ray.calls import Call, Calls
 from shift3d.sweep.execution.ray.connection import connect
+from shift3d.sweep.execution.ray.excluded_machines import MAX_UNREADABLE_SCENES
 from shift3d.sweep.execution.ray.failures import Failure, failure_of
-from shift3d.sweep.execution.ray.left_out import UNREAD_SCENES
-from shift3d.sweep.execution.ray.shipped_files import loaded
-from shift3d.sweep.execution.ray.watch import Watch
+from shift3d.sweep.execution.ray.hang_detector import HangDetector
+from shift3d.sweep.execution.ray.shipped_files import read_shipped_files
 from shift3d.sweep.execution.ray.worker import RayWorker
 from shift3d.sweep.execution.ray.worker_pool import WorkerPool
 from shift3d.sweep.execution.worker import BatchOutcome, Running, attempt_row
@@ -61,7 +61,7 @@ class RayRunner:
             raise
         self._sizer = BatchSizer(config.batch_seconds)
         self._calls = Calls(least_s=2 * config.batch_seconds)
-        self._watch = Watch(self._ray, config.task_timeout_s)
+        self._watch = HangDetector(self._ray, config.task_timeout_s)
         self._backlog = Backlog([])
 
     def _starter(self, kind: TaskKind, config: RayRunnerConfig) -> Callable[..., Any]:
@@ -71,7 +71,7 @@ class RayRunner:
             options["memory"] = int(config.worker_memory_mb * 2**20)
         actor = self._ray.remote(**options)(RayWorker)
         # Workers of a private Ray are on this machine, and read its files.
-        shipped = self._ray.put(loaded(self._plan.assets) if config.address else {})
+        shipped = self._ray.put(read_shipped_files(self._plan.assets) if config.address else {})
         tasks, assets = self._ray.put(self._plan.tasks), self._ray.put(self._plan.assets)
         given = (kind, self._plan.sweep, assets, tasks, self._command, shipped)
         return lambda **options: (actor.options(**options) if options else actor).remote(*given)
@@ -154,7 +154,7 @@ class RayRunner:
         if worker.node_id in left_out:
             self._pool.lost(worker)
         elif too_many and left_out.any_other(worker.node_id):
-            what = f"tasks of {counted(UNREAD_SCENES, 'scene')} in a row failed there: {outcome.errors[-1]}"
+            what = f"tasks of {counted(MAX_UNREADABLE_SCENES, 'scene')} in a row failed there: {outcome.errors[-1]}"
             remedy = "Repair it, and give those tasks back with --retry-quarantined"
             self._pool.leave(worker.node_id, worker.host, InputError(what, remedy=remedy))
 

@@ -37,13 +37,13 @@ ShippedFiles = Mapping[NamedFiles, Mapping[str, NDArray[np.uint8]]]
 """Bytes of files, by `NamedFiles` and by name. Read-only if they come from the object store."""
 
 
-def loaded(assets: Sequence[AssetsSpec]) -> ShippedFiles:
+def read_shipped_files(assets: Sequence[AssetsSpec]) -> ShippedFiles:
     """Read the files that the settings of a sweep name. Raises InputError if one cannot be read."""
     every = dict.fromkeys(files for one in assets for files in named_files(one))
     return {files: {name: _read(_path(files, name)) for name in files.names} for files in every}
 
 
-def unloaded(assets: AssetsSpec, shipped: ShippedFiles) -> AssetsSpec:
+def with_local_files(assets: AssetsSpec, shipped: ShippedFiles) -> AssetsSpec:
     """Return the assets with paths to files of this machine; missing files are written.
 
     Raises: InputError: a file cannot be written.
@@ -123,7 +123,7 @@ def _of_vehicles(assets: AssetsSpec) -> NamedFiles | None:
         return None
     # Late imports: both modules load torch, and most sweeps name no folder.
     if assets.vehicles["kind"] == "deepsdf":
-        from shift3d.sdf.foreign import experiment_file_names
+        from shift3d.sdf.deepsdf_checkpoint import experiment_file_names
 
         return NamedFiles(folder, experiment_file_names(assets.vehicles["checkpoint"]))
     from shift3d.vehicles.vehicle_set import DECODER_FILE, VEHICLES_FILE

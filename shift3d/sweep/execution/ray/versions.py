@@ -18,7 +18,7 @@ _LIBRARIES = ("torch", "numpy", "scipy", "trimesh", "embreex")
 _NAMES = {"code": "another build of shift3d:"}
 
 
-def installed() -> Mapping[str, str]:
+def installed_versions() -> Mapping[str, str]:
     """Return the versions by name, without the build of a library (after the plus sign). code: digest of shift3d's own
     files; "" without installation from a wheel."""
     libraries = {name: version.partition("+")[0] for name, version in library_versions(_LIBRARIES).items()}
@@ -36,8 +36,8 @@ def _code() -> str:
     return hashlib.blake2b("\n".join(lines).encode(), digest_size=4).hexdigest() if lines else ""
 
 
-def difference(there: Mapping[str, str], here: Mapping[str, str]) -> InputError | None:
-    """Return the error for a machine whose versions differ from the driver's, or None. there, here: of `installed`."""
+def version_mismatch(there: Mapping[str, str], here: Mapping[str, str]) -> InputError | None:
+    """Return the error for a machine whose versions differ, or None. there, here: versions by name."""
     found = [
         f"{_NAMES.get(name, name)} {there.get(name)}, not {value}"
         for name, value in here.items()

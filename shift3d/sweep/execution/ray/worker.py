@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from shift3d.errors import InputError
-from shift3d.sweep.execution.ray.logbook import Logbook
-from shift3d.sweep.execution.ray.shipped_files import ShippedFiles, unloaded
-from shift3d.sweep.execution.ray.versions import installed
+from shift3d.sweep.execution.ray.shipped_files import ShippedFiles, with_local_files
+from shift3d.sweep.execution.ray.versions import installed_versions
+from shift3d.sweep.execution.ray.worker_status import WorkerStatusFile
 from shift3d.sweep.execution.worker import BatchOutcome, Worker
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.tasks import PlannedTask
@@ -26,7 +26,7 @@ def _load(load: Callable[[AssetsSpec], Any], spec: AssetsSpec, shipped: ShippedF
     Raises: InputError: any failure, since a library that is damaged is a defect of this machine, not of a task.
     """
     try:
-        return load(unloaded(spec, shipped))
+        return load(with_local_files(spec, shipped))
     except InputError:
         raise
     except Exception as error:
@@ -36,8 +36,8 @@ def _load(load: Callable[[AssetsSpec], Any], spec: AssetsSpec, shipped: ShippedF
 
 
 @dataclass(frozen=True)
-class Ready:
-    """Address of a ready worker. node_id: Ray's. process: host and process id. logbook: status file of process `pid`.
+class WorkerAddress:
+    """Address of a ready worker. node_id: Ray's. process: host and process id. status_path: status file of `pid`.
 
     versions: installed on its machine; None: the driver's.
     """
@@ -45,7 +45,7 @@ class Ready:
     node_id: str
     process: str
     pid: int
-    logbook: str
+    status_path: str
     versions: Mapping[str, str] | None = None
 
 
@@ -68,16 +68,18 @@ class RayWorker:
         # The first task loads the assets, since its outcome can report in one line why that failed.
         load = kind.load
         kind = dataclasses.replace(kind, load=lambda spec: _load(load, spec, shipped))
-        self._logbook = Logbook()
-        self._worker = Worker(kind, sweep, assets, command, self._logbook.note)
+        self._status_file = WorkerStatusFile()
+        self._worker = Worker(kind, sweep, assets, command, self._status_file.note)
 
-    def ready(self) -> Ready:
+    def ready(self) -> WorkerAddress:
         """Return the address as soon as this process is ready."""
         import ray
 
         pid = os.getpid()
         node_id = ray.get_runtime_context().get_node_id()
-        return Ready(node_id, f"{socket.gethostname()}:{pid}", pid, self._logbook.path, installed())
+        return WorkerAddress(
+            node_id, f"{socket.gethostname()}:{pid}", pid, self._status_file.path, installed_versions()
+        )
 
     def run(self, positions: Sequence[int], first_attempt: int) -> BatchOutcome:
         """See `Worker.run_batch`."""

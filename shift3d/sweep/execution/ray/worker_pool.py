@@ -12,10 +12,10 @@ from shift3d.errors import InputError
 from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.connection import node_of
+from shift3d.sweep.execution.ray.excluded_machines import MAX_FAILED_STARTS, ExcludedMachines
 from shift3d.sweep.execution.ray.failures import names_lost_machine
-from shift3d.sweep.execution.ray.left_out import FAILED_STARTS, LeftOut
-from shift3d.sweep.execution.ray.versions import difference, installed
-from shift3d.sweep.execution.ray.worker import Ready
+from shift3d.sweep.execution.ray.versions import installed_versions, version_mismatch
+from shift3d.sweep.execution.ray.worker import WorkerAddress
 
 # Interval between queries of the cluster's size: machines join and leave within minutes.
 _LOOK_S = 2.0
@@ -24,7 +24,7 @@ _PATIENCE_S = 30.0
 _RAISED = re.compile(r"[\w.]*(Error|Exception)\b")
 
 
-def room_for(nodes: list[dict[str, Any]], cpus: float, memory_mb: float, estimated: bool = True) -> int:
+def worker_capacity(nodes: list[dict[str, Any]], cpus: float, memory_mb: float, estimated: bool = True) -> int:
     """Return the number of workers that fit on the live machines, by CPUs and memory.
 
     estimated: memory_mb is an estimate, and trying is better than refusing: if no machine has the memory, one worker is
@@ -47,7 +47,7 @@ class PooledWorker:
     """Worker of the pool. where: its process and machine, None until it is ready. running: True if it has a call."""
 
     actor: Any
-    where: Ready | None = None
+    where: WorkerAddress | None = None
     running: bool = False
 
     @property
@@ -89,7 +89,7 @@ class WorkerPool:
         self._workers: list[PooledWorker] = []
         self._failed = 0
         self._looked = 0.0
-        self.left_out = LeftOut(ray, config.cpus_per_worker)
+        self.left_out = ExcludedMachines(ray, config.cpus_per_worker)
         self._report_at = time.monotonic() + _PATIENCE_S
         self.wanted = self._room()
         if self.wanted < 1:
@@ -99,7 +99,9 @@ class WorkerPool:
 
     def _room(self) -> int:
         config = self._config
-        room = room_for(self.left_out.others(), config.cpus_per_worker, self._memory_mb, not config.worker_memory_mb)
+        room = worker_capacity(
+            self.left_out.others(), config.cpus_per_worker, self._memory_mb, not config.worker_memory_mb
+        )
         # An autoscaling cluster grows only if workers wait for room, so all requested workers are started.
         wanted = config.workers if config.workers and (room or config.address) else room
         return min(wanted, self._most)
@@ -146,7 +148,7 @@ class WorkerPool:
         """
         worker = self._starting.pop(reference)
         try:
-            where: Ready = self._ray.get(reference)
+            where: WorkerAddress = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             if names_lost_machine(self._ray, error):
                 return None
@@ -156,8 +158,8 @@ class WorkerPool:
         if worker.node_id in self.left_out:  # the start preceded the exclusion
             self._ray.kill(worker.actor)
             return None
-        here = installed()
-        if other := difference(where.versions or here, here):
+        here = installed_versions()
+        if other := version_mismatch(where.versions or here, here):
             self.left_out.add(worker.node_id, worker.host, other)
             self._ray.kill(worker.actor)
             nobody = not self._workers and not self.left_out.any_other()
@@ -173,7 +175,7 @@ class WorkerPool:
         held = any(other.node_id == node_id for other in self._workers)
         if node_id and not held and self.left_out.failed_start(node_id):
             self.left_out.add(node_id, host, InputError(f"no worker starts there: {why}", remedy=remedy))
-        if self._failed < FAILED_STARTS or self._workers or (node_id and self.left_out.any_other()):
+        if self._failed < MAX_FAILED_STARTS or self._workers or (node_id and self.left_out.any_other()):
             return None
         return InputError(f"no worker starts: {why}", where="runner", remedy=remedy)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.vehicles.family.csg import Bounds, Point, ball, block, cut
-from shift3d.vehicles.family.parts.part import side_half_m, x_of
+from shift3d.vehicles.family.parts.part import side_half_m, x_behind_nose
 from shift3d.vehicles.family.solid import Grid
 from shift3d.vehicles.family.spec import VehicleSpec
 
@@ -56,12 +56,12 @@ def panel_holes(car: VehicleSpec, panel: str) -> list[Bounds]:
     half, sill = car.width_m / 2, car.clearance_m + 0.14
     if panel == "hood":
         inner = half - 0.24
-        rear = x_of(car, max(car.cowl_s_m - 0.08, 0.55))
+        rear = x_behind_nose(car, max(car.cowl_s_m - 0.08, 0.55))
         floor = max(car.nose_z_m - 0.38, car.clearance_m + 0.2)
-        return [((rear, -inner, floor), (x_of(car, 0.20), inner, car.cowl_z_m + 0.1))]
+        return [((rear, -inner, floor), (x_behind_nose(car, 0.20), inner, car.cowl_z_m + 0.1))]
     if panel == "bumper":
         beam = car.clearance_m + 0.24
-        front = x_of(car, 0.16)
+        front = x_behind_nose(car, 0.16)
         upper = ((front, -half, beam + 0.12), (car.length_m / 2 + 0.1, half, car.nose_z_m - 0.10))
         return [((front, -half, 0.0), (car.length_m / 2 + 0.1, half, beam)), upper]
     side = 1.0 if panel.endswith("left") else -1.0
@@ -81,4 +81,4 @@ def _sided(
     car: VehicleSpec, side: float, s_m: tuple[float, float], y_m: tuple[float, float], z_m: tuple[float, float]
 ) -> Bounds:
     y = sorted(side * value for value in y_m)
-    return (x_of(car, s_m[1]), y[0], z_m[0]), (x_of(car, s_m[0]), y[1], z_m[1])
+    return (x_behind_nose(car, s_m[1]), y[0], z_m[0]), (x_behind_nose(car, s_m[0]), y[1], z_m[1])

@@ -25,7 +25,7 @@ class Part(Protocol):
         ...
 
 
-def x_of(car: VehicleSpec, s_m: float) -> float:
+def x_behind_nose(car: VehicleSpec, s_m: float) -> float:
     """Return x of a place s metres behind the nose."""
     return car.length_m / 2 - s_m
 
@@ -36,7 +36,7 @@ def roof_z_m(car: VehicleSpec, s_m: float) -> float:
     return float(np.interp(s_m, [s for s, _ in roof], [z for _, z in roof]))
 
 
-def roof_half_m(car: VehicleSpec) -> float:
+def roof_half_width_m(car: VehicleSpec) -> float:
     """Return the half width of the roof."""
     return float(profiles.glasshouse_half_width(car, np.array([car.height_m], np.float32))[0])
 

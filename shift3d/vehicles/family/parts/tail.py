@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.vehicles.family import profiles
-from shift3d.vehicles.family.csg import Bounds, add, block, cut, disc, ring, rod, thick, wedge
-from shift3d.vehicles.family.parts.part import roof_half_m, side_half_m, x_of
+from shift3d.vehicles.family.csg import Bounds, add, block, cut, disc, drawable_radius_m, ring, rod, wedge
+from shift3d.vehicles.family.parts.part import roof_half_width_m, side_half_m, x_behind_nose
 from shift3d.vehicles.family.solid import Grid, smooth_max
 from shift3d.vehicles.family.spec import VehicleSpec
 
@@ -62,7 +62,7 @@ class Bicycles:
         return low, (-car.length_m / 2 + 0.35, self.y_m + reach, top)
 
     def apply(self, grid: Grid, car: VehicleSpec, field: Array) -> None:
-        bounds, rail = self.bounds(car), thick(grid, 0.03)
+        bounds, rail = self.bounds(car), drawable_radius_m(grid, 0.03)
         for y in (-0.3, 0.3):
             end = (self._x(car, self.count - 1) - 0.05, y, self.rail_z_m)
             add(grid, field, bounds, rod((-car.length_m / 2 + 0.3, y, self.rail_z_m), end, rail))
@@ -71,7 +71,7 @@ class Bicycles:
 
     def _bicycle(self, grid: Grid, field: Array, bounds: Bounds, x: float, ahead: float) -> None:
         """Add one bicycle, front wheel towards y = ahead; fork and stays lie in the wheels' plane and hold them."""
-        tube, r, half = thick(grid, TUBE_M), self.wheel_radius_m, self.base_m / 2
+        tube, r, half = drawable_radius_m(grid, TUBE_M), self.wheel_radius_m, self.base_m / 2
         hub = self.rail_z_m + TYRE_M + r
         rear, front = (x, self.y_m - ahead * half, hub), (x, self.y_m + ahead * half, hub)
         crank = (x, self.y_m - ahead * 0.12, hub - 0.06)
@@ -79,11 +79,11 @@ class Bicycles:
         head = (x, self.y_m + ahead * 0.36, hub + 0.40)
         bar = (x, self.y_m + ahead * 0.33, self.rail_z_m + r + HANDLEBAR_M)
         for centre in (rear, front):
-            add(grid, field, bounds, ring(centre, r, thick(grid, TYRE_M)))
+            add(grid, field, bounds, ring(centre, r, drawable_radius_m(grid, TYRE_M)))
             for angle in np.linspace(0.0, np.pi, 4)[:3]:
                 across = (0.0, r * float(np.cos(angle)), r * float(np.sin(angle)))
                 ends = [tuple(c + sign * a for c, a in zip(centre, across, strict=True)) for sign in (-1.0, 1.0)]
-                add(grid, field, bounds, rod(ends[0], ends[1], thick(grid, SPOKE_M)))  # type: ignore[arg-type]
+                add(grid, field, bounds, rod(ends[0], ends[1], drawable_radius_m(grid, SPOKE_M)))  # type: ignore[arg-type]
         frame = [(rear, crank), (rear, saddle), (crank, saddle), (crank, head), (saddle, head), (head, front)]
         for a, b in [*frame, (head, bar)]:
             add(grid, field, bounds, rod(a, b, tube))
@@ -110,18 +110,18 @@ class OpenTailgate:
     depth_m: float
 
     def _hinge(self, car: VehicleSpec) -> tuple[float, float]:
-        return x_of(car, car.roof_rear_s_m), car.height_m - car.roof_drop_m
+        return x_behind_nose(car, car.roof_rear_s_m), car.height_m - car.roof_drop_m
 
     def bounds(self, car: VehicleSpec) -> Bounds:
         x, z = self._hinge(car)
         rear = x - self.gate_m * float(np.cos(self.up_rad)) - GATE_M * float(np.sin(self.up_rad)) / 2
         top = z + self.gate_m * float(np.sin(self.up_rad)) + GATE_M * (float(np.cos(self.up_rad)) - 1.0) / 2
-        half = roof_half_m(car)
+        half = roof_half_width_m(car)
         return (min(rear, -car.length_m / 2), -half, self.floor_z_m), (x + 0.1, half, max(top, car.height_m))
 
     def apply(self, grid: Grid, car: VehicleSpec, field: Array) -> None:
         x, z = self._hinge(car)
-        tail, half = -car.length_m / 2, roof_half_m(car)
+        tail, half = -car.length_m / 2, roof_half_width_m(car)
         inner = min(half, side_half_m(car, self.floor_z_m)) - 0.08
         front = tail + self.depth_m
         hollow = [(tail - 0.3, self.floor_z_m), (front, self.floor_z_m), (front, z - 0.10), (tail - 0.3, z - 0.10)]
@@ -172,14 +172,18 @@ class Canopy:
 
     def bounds(self, car: VehicleSpec) -> Bounds:
         half = car.width_m / 2 - 0.06
-        return (-car.length_m / 2 + 0.06, -half, car.deck_z_m - 0.1), (x_of(car, car.roof_rear_s_m), half, car.height_m)
+        return (-car.length_m / 2 + 0.06, -half, car.deck_z_m - 0.1), (
+            x_behind_nose(car, car.roof_rear_s_m),
+            half,
+            car.height_m,
+        )
 
     def apply(self, grid: Grid, car: VehicleSpec, field: Array) -> None:
         low, high = self.bounds(car)
         top = car.height_m - car.roof_drop_m - self.below_roof_m
         corners = [(low[0], low[2]), (high[0], low[2]), (high[0], top), (low[0] + self.lean_m, top)]
         foot, run = high[1], top - low[2]
-        lean = (foot - roof_half_m(car)) / run
+        lean = (foot - roof_half_width_m(car)) / run
         hull = wedge(corners, -9.0, 9.0, 0.06)
 
         def part(x: Array, y: Array, z: Array) -> Array:

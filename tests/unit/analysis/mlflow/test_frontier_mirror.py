@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from frontier_by_hand import frontier_row, realistic_rows
 
-from shift3d.analysis.mlflow.measured import frontier_metrics, mirror_frontier
+from shift3d.analysis.mlflow.measurement_runs import frontier_metrics, mirror_frontier
 from shift3d.store.frontier_table import frontier_table
 from shift3d.store.tables import write_table
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from suites_by_hand import write_detector, write_suite
 
-from shift3d.analysis.mlflow.measured import GATE_EXPERIMENT, mirror_gate
+from shift3d.analysis.mlflow.measurement_runs import GATE_EXPERIMENT, mirror_gate
 from shift3d.cli.main import main
 
 

@@ -13,7 +13,7 @@ from shift3d.detectors.compiled.onnx_export import onnx_bytes
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
-from shift3d.settings.catalogue.compiled import compiled_network
+from shift3d.settings.catalogue.compiled import export_onnx_detector
 
 NAMES = ("pointpillars", "centerpoint")
 
@@ -62,4 +62,4 @@ def test_weights_below_home_are_found(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "mine.safetensors").write_bytes((WEIGHTS_FOLDER / "sst_small.safetensors").read_bytes())
     with pytest.raises(InputError, match="no ONNX export"):  # all that there is against them
-        compiled_network("sst_small", "~/mine.safetensors")
+        export_onnx_detector("sst_small", "~/mine.safetensors")

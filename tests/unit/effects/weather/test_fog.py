@@ -9,7 +9,7 @@ import torch
 from weather_by_hand import COUNT, context_of, returns_of
 
 from shift3d.effects.base import EffectContext
-from shift3d.effects.weather.fog import EFFECT, PULSE_S, backscatter_per_m, extinction_per_m, soft_echo
+from shift3d.effects.weather.fog import EFFECT, PULSE_S, backscatter_per_m, extinction_per_m, fog_echo_table
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
@@ -45,7 +45,7 @@ def test_at_the_optical_range_five_percent_is_left():
 @pytest.mark.parametrize(("visibility_m", "range_m"), [(50.0, 30.0), (50.0, 1.5), (10.0, 3.0), (200.0, 80.0)])
 def test_echo_of_fog_is_the_integral(visibility_m, range_m):
     ratio, received = echo_by_integration(visibility_m, range_m)
-    log_ratio, reported = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m)).at(
+    log_ratio, reported = fog_echo_table(extinction_per_m(visibility_m), backscatter_per_m(visibility_m)).at(
         np.array([range_m])
     )
     assert math.exp(log_ratio[0]) == pytest.approx(ratio, rel=2e-3)
@@ -54,15 +54,15 @@ def test_echo_of_fog_is_the_integral(visibility_m, range_m):
 
 
 def test_one_table_serves_a_process():
-    first = soft_echo(extinction_per_m(70.0), backscatter_per_m(70.0))
+    first = fog_echo_table(extinction_per_m(70.0), backscatter_per_m(70.0))
     EFFECT.bind(foggy(70.0))
-    assert soft_echo(extinction_per_m(70.0), backscatter_per_m(70.0)) is first
+    assert fog_echo_table(extinction_per_m(70.0), backscatter_per_m(70.0)) is first
 
 
 def test_the_echo_of_fog_never_lies_behind_the_surface():
     range_m = np.geomspace(0.9001, 200.0, 3000)
     for visibility_m in (1e-3, 1.0, 50.0, 1e5):
-        reported = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m)).at(range_m)[1]
+        reported = fog_echo_table(extinction_per_m(visibility_m), backscatter_per_m(visibility_m)).at(range_m)[1]
         assert (reported >= 0.9).all()
         assert (reported <= range_m * (1.0 + 1e-3)).all()
 

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from weather_by_hand import COUNT, context_of, returns_of, rows_of
 
 from shift3d.effects.base import EffectContext
-from shift3d.effects.weather.precipitation import DIVERGENCE_RAD, EXIT_M, crossings, extra_noise_m
+from shift3d.effects.weather.precipitation import DIVERGENCE_RAD, EXIT_M, crossings, weather_range_noise_m
 from shift3d.effects.weather.rain import DROP_ALBEDO, EFFECT, drops
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions
@@ -147,8 +147,8 @@ def test_weaker_echoes_scatter_more_along_the_beam_alone():
 
 def test_noise_that_is_added_is_bounded_and_none_where_nothing_is_lost():
     power, all_of_it = torch.tensor([0.0, 1e-5, 1.0], dtype=torch.float64), torch.ones(3, dtype=torch.float64)
-    assert extra_noise_m(power, all_of_it, 1e-4).tolist() == [0.0, 0.0, 0.0]
-    lost = extra_noise_m(power, 0.0 * all_of_it, 1e-4)
+    assert weather_range_noise_m(power, all_of_it, 1e-4).tolist() == [0.0, 0.0, 0.0]
+    lost = weather_range_noise_m(power, 0.0 * all_of_it, 1e-4)
     assert bool((lost <= 0.09 / math.sqrt(2.0)).all()) and float(lost[2]) == pytest.approx(
         0.09 / math.sqrt(2.0), rel=1e-4
     )

@@ -58,7 +58,7 @@ def test_what_falls_is_the_rate(snow_mm_h):
 
 
 def test_flakes_are_as_many_as_the_drops_they_melt_to():
-    assert flakes(1.0).per_m3 == pytest.approx(3800.0 / 2.55)
+    assert flakes(1.0).number_density_per_m3 == pytest.approx(3800.0 / 2.55)
 
 
 @pytest.mark.parametrize("range_m", [1.5, 2.5, 4.0])

@@ -11,8 +11,15 @@ from scipy.integrate import quad
 from weather_by_hand import assert_same
 
 from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.physics.power import survival
-from shift3d.effects.weather.wet_ground import EFFECT, GROUND_BAND_M, WATER_INDEX, reflected, trapped, wet_albedo
+from shift3d.effects.physics.power import detection_probability
+from shift3d.effects.weather.wet_ground import (
+    EFFECT,
+    GROUND_BAND_M,
+    WATER_INDEX,
+    fresnel_reflectance,
+    internal_reflectance,
+    wet_albedo,
+)
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
@@ -53,37 +60,41 @@ def test_fresnel_head_on_along_and_at_brewsters_angle():
     head_on = ((n - 1.0) / (n + 1.0)) ** 2
     # tan(Brewster) = n: nothing is reflected in one polarisation, ((n^2 - 1) / (n^2 + 1))^2 in the other.
     brewster = 0.5 * ((n**2 - 1.0) / (n**2 + 1.0)) ** 2
-    found = reflected(values(1.0, 1.0 / math.sqrt(1.0 + n**2), 0.0))
+    found = fresnel_reflectance(values(1.0, 1.0 / math.sqrt(1.0 + n**2), 0.0))
     torch.testing.assert_close(found, values(head_on, brewster, 1.0))
 
 
 def test_light_takes_the_same_way_back():
     cosine = torch.linspace(0.01, 1.0, 50, dtype=torch.float64)
     inside = (1.0 - (1.0 - cosine**2) / WATER_INDEX**2).sqrt()
-    torch.testing.assert_close(reflected(cosine), reflected(inside, 1.0 / WATER_INDEX))
+    torch.testing.assert_close(fresnel_reflectance(cosine), fresnel_reflectance(inside, 1.0 / WATER_INDEX))
 
 
 def test_beyond_the_critical_angle_everything_is_reflected():
     critical = math.sqrt(1.0 - 1.0 / WATER_INDEX**2)
     beyond = torch.linspace(0.0, critical * 0.999, 20, dtype=torch.float64)
-    torch.testing.assert_close(reflected(beyond, 1.0 / WATER_INDEX), torch.ones_like(beyond))
+    torch.testing.assert_close(fresnel_reflectance(beyond, 1.0 / WATER_INDEX), torch.ones_like(beyond))
 
 
 def mean_reflected(index: float, kink: float) -> float:
     """Of diffuse light, by QUADPACK."""
-    return quad(lambda c: float(reflected(values(c), index)) * 2.0 * c, 0.0, 1.0, points=[kink], limit=200)[0]
+    return quad(lambda c: float(fresnel_reflectance(values(c), index)) * 2.0 * c, 0.0, 1.0, points=[kink], limit=200)[0]
 
 
 def test_diffuse_light_that_stays_below():
-    assert trapped() == pytest.approx(mean_reflected(1.0 / WATER_INDEX, math.sqrt(1.0 - WATER_INDEX**-2)), abs=1e-5)
+    assert internal_reflectance() == pytest.approx(
+        mean_reflected(1.0 / WATER_INDEX, math.sqrt(1.0 - WATER_INDEX**-2)), abs=1e-5
+    )
     # What leaves per solid angle is what enters, over n^2.
-    assert 1.0 - trapped() == pytest.approx((1.0 - mean_reflected(WATER_INDEX, 0.1)) / WATER_INDEX**2, abs=1e-5)
+    assert 1.0 - internal_reflectance() == pytest.approx(
+        (1.0 - mean_reflected(WATER_INDEX, 0.1)) / WATER_INDEX**2, abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("cosine", [0.05, 0.4, 1.0])
 def test_a_white_ground_loses_nothing_but_what_the_water_mirrors(cosine):
     """Everything that enters leaves again: over all directions, T_aw of the incident light."""
-    entering = 1.0 - float(reflected(values(cosine)))
+    entering = 1.0 - float(fresnel_reflectance(values(cosine)))
     towards_sensor = float(wet_albedo(values(1.0), values(cosine)))
     per_transmission = towards_sensor / entering
     total = per_transmission * (1.0 - mean_reflected(WATER_INDEX, 0.1))
@@ -93,7 +104,7 @@ def test_a_white_ground_loses_nothing_but_what_the_water_mirrors(cosine):
 def test_wet_albedo_by_hand():
     """Head on, 0.3: 0.98^2 * 0.3 / 1.33^2 / (1 - 0.3 R_wa), some 60 % of the dry one; along the ground nothing."""
     through = 1.0 - (0.33 / 2.33) ** 2
-    expected = through**2 * 0.3 / 1.33**2 / (1.0 - 0.3 * trapped())
+    expected = through**2 * 0.3 / 1.33**2 / (1.0 - 0.3 * internal_reflectance())
     torch.testing.assert_close(wet_albedo(values(0.3, 0.3, 0.0), values(1.0, 0.0, 1.0)), values(expected, 0.0, 0.0))
     assert 0.55 < expected / 0.3 < 0.65
 
@@ -120,7 +131,7 @@ def test_only_ground_is_wet_and_its_echoes_are_lost_by_their_power():
     range_m = math.hypot(20.0, GROUND_Z_M)
     wet = float(wet_albedo(values(0.3), values(-GROUND_Z_M / range_m)))
     torch.testing.assert_close(after.albedo[ground], torch.full_like(after.albedo[ground], wet), rtol=1e-6, atol=0)
-    dry_kept, wet_kept = survival(values(0.3, wet) / range_m**2, LIMIT).tolist()
+    dry_kept, wet_kept = detection_probability(values(0.3, wet) / range_m**2, LIMIT).tolist()
     expected, count = wet_kept / dry_kept, int(ground.sum())
     assert 0.05 < expected < 0.95
     share = float(after.returned[ground].double().mean())

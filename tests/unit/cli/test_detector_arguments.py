@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from foreign_cases import CASES
 
-from shift3d.cli.detector_words import detector_files
+from shift3d.cli.detector_arguments import detector_files
 from shift3d.errors import InputError
 from shift3d.suite.scoring import Scorer
 

@@ -16,23 +16,23 @@ from safetensors.torch import load, save
 from shift3d.render.culling import Box
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import RenderSettings
-from shift3d.store.user_cache import keep, kept_file, read_kept, source_digest
+from shift3d.store.user_cache import cache_file, cache_result, read_cached, source_digest
 
 FILES_KEPT = 256
 """Maximum number of files, 750 kB each; the oldest are deleted."""
-_CODE = ("render", "sdf", "processor.py", "task/kept_grids.py")
+_CODE = ("render", "sdf", "processor.py", "task/grid_cache.py")
 
 
-def kept_grid(decoder_hash: str, vehicle_hash: str, settings: RenderSettings, make: Callable[[], SdfGrid]) -> SdfGrid:
+def cached_grid(decoder_hash: str, vehicle_hash: str, settings: RenderSettings, make: Callable[[], SdfGrid]) -> SdfGrid:
     """Return the grid of a vehicle at these settings from the cache folder; compute and store it if it is missing.
 
     A damaged file is computed again. A folder that cannot be written is not used.
     """
-    file = kept_file("grids", decoder_hash, vehicle_hash, settings, source_digest(*_CODE))
-    if (content := read_kept(file)) is not None:
+    file = cache_file("grids", decoder_hash, vehicle_hash, settings, source_digest(*_CODE))
+    if (content := read_cached(file)) is not None:
         return _grid(load(content))
     grid = make()
-    keep(file, save(_tensors(grid)))
+    cache_result(file, save(_tensors(grid)))
     _make_room(file.parent)
     return grid
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Items, Paragraph, missing
 from shift3d.analysis.tables.auc import natural_rows, ratio_texts, with_baseline
-from shift3d.analysis.tables.paper import paper_beside
+from shift3d.analysis.tables.paper import paper_table_of
 from shift3d.analysis.variants import Variant, aucs_of_scores
 from shift3d.wording import counted
 
@@ -23,13 +23,13 @@ def in_short(
     known = [variant for variant in found if len(variant.rows)]
     if not known:
         return [missing(unplaced or "No task has a score.")]
-    own = [variant for variant in known if variant.is_own] or known
+    own = [variant for variant in known if variant.scores_itself] or known
     first, rest = own[:_SHOWN], [variant for variant in known if variant not in own[:_SHOWN]]
     blocks: list[Block] = [Paragraph(caveat, "caveat")] if caveat else []
     blocks += [Paragraph(headline(variant), "headline") for variant in first]
     if rest:
         summary = f"{counted(len(rest), 'more result')}: other detectors and settings"
-        blocks.append(Fold(summary, [Items([headline(variant) for variant in rest])]))
+        blocks.append(Collapsible(summary, [Items([headline(variant) for variant in rest])]))
     return [*blocks, *([Paragraph(f"{further}.")] if further else [])]
 
 
@@ -42,8 +42,8 @@ def headline(variant: Variant) -> str:
     if before is None or after is None:
         return f"{variant.title}: no baseline, or nothing found."
     ratio = " ".join(part for part in ratio_texts(rows, baseline) if part)
-    table = paper_beside(variant)
-    paper = table and table.aucs.of_baseline("adversarial", vehicles)
+    table = paper_table_of(variant)
+    paper = table and table.aucs.ratio_to_baseline("adversarial", vehicles)
     counts = f"{counted(len(vehicles), 'vehicle')} in {counted(rows['place'].nunique(), 'scene')}"
     return (
         f"{variant.title}: the mean AUC of {counts} {'falls' if after < before else 'goes'} from {before:.3f} to "
@@ -64,5 +64,5 @@ def _naturalness(variant: Variant) -> str:
     left = len(measured) - unnatural
     if not unnatural:
         return ", and the one shape is natural" if left == 1 else f", and all {left} shapes are natural"
-    ratio = aucs_of_scores(natural_rows(variant)).of_baseline("adversarial", variant.vehicles) if left else None
+    ratio = aucs_of_scores(natural_rows(variant)).ratio_to_baseline("adversarial", variant.vehicles) if left else None
     return text + (f" (ratio over the {left} natural: {ratio:.2f})" if ratio is not None else "")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from shift3d.cli.command import take_words
+from shift3d.cli.command import pop_values
 from shift3d.cli.completion import runner_words
 from shift3d.errors import InputError
 from shift3d.settings.folders import files
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 SWEEP_WORDS = "the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs"
 SWEEP_METAVAR = "NAME | key=value"
-RUNNER = ("where it runs: settings of conf/runner", "runner=...", runner_words)
-"""Help, metavar and completer of words that :func:`runner_of` parses."""
+RUNNER_ARGUMENT = ("where it runs: settings of conf/runner", "runner=...", runner_words)
+"""Help, metavar and completer of words that :func:`compose_runner` parses."""
 
 
 @dataclass(frozen=True)
-class Request:
+class SweepRequest:
     """Parsed words of a command line.
 
     out: output folder; None: the default one. reuse: folders of other sweeps, whose results of the same tasks are
@@ -38,41 +38,41 @@ class Request:
     job: JobSpec | None
 
 
-def read_words(words: Sequence[str]) -> Request:
+def read_words(words: Sequence[str]) -> SweepRequest:
     """Parse the words of a command line. Raises: InputError: an unusable or damaged folder, or an unknown job."""
-    from shift3d.cli.job_spec import take_job
+    from shift3d.cli.job_spec import pop_job
     from shift3d.sweep.planning.spec_file import read_spec
 
-    reuse, rest = take_folders("reuse", words)
+    reuse, rest = pop_folders("reuse", words)
     for folder in reuse:
         read_spec(folder)  # checked before the scenes are read, which may take minutes
-    job, typed = take_job(rest)
-    name, overrides, out = split_words(_words_of_folder(typed))
+    job, typed = pop_job(rest)
+    name, overrides, out = parse_name_and_overrides(_words_of_folder(typed))
     if job:
         # The job's runner replaces the runner that the sweep's folder recorded.
         overrides = [word for word in overrides if word in typed or not word.startswith("runner")]
         overrides = [*job.overrides(overrides), *overrides]
-    return Request(name, overrides, out, reuse, job)
+    return SweepRequest(name, overrides, out, reuse, job)
 
 
-def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
+def parse_name_and_overrides(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
     """Split words into (name, overrides, out). Raises: InputError: out= is empty or an unusable URL."""
     name = "default"
     if words and "=" not in words[0] and not words[0].startswith(("+", "~")):
         name, words = words[0], words[1:]
-    out, rest = take_folders("out", words)
+    out, rest = pop_folders("out", words)
     return name, rest, out[-1] if out else None
 
 
-def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[str]]:
+def pop_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[str]]:
     """Split words into folders of ``key=FOLDER`` and other words. Raises: InputError: an empty or unusable folder."""
     from shift3d.store.resolve import as_location
 
-    named, rest = take_words(key, words)
+    named, rest = pop_values(key, words)
     return [as_location(folder) for folder in named], rest
 
 
-def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
+def compose_runner(words: Sequence[str], command: str) -> RunnerConfig:
     """Compose the runner from conf/ and overrides, for a follow-up command. Raises: InputError: any other override."""
     from shift3d.settings.compose import compose_sweep
     from shift3d.settings.expand import expand

@@ -23,10 +23,10 @@ class Leaves:
     free_path_m: float
 
 
-Looks = tuple[list[Part], list[Leaves]]
+ItemGeometry = tuple[list[Part], list[Leaves]]
 
 
-def _building(item: Item, rng: Rng) -> Looks:
+def _building(item: Item, rng: Rng) -> ItemGeometry:
     length, width, height = item.size_m
     parts = [box((length, width, height + 1.0), (0, 0, -1.0), Material.FACADE)]
     for _ in range(int(rng.integers(2, 7))):  # bays, porches and balconies break the flat front
@@ -37,15 +37,15 @@ def _building(item: Item, rng: Rng) -> Looks:
     return parts, []
 
 
-def _wall(item: Item, rng: Rng) -> Looks:
+def _wall(item: Item, rng: Rng) -> ItemGeometry:
     return [box((*item.size_m[:2], item.size_m[2] + 0.3), (0, 0, -0.3), Material.FACADE)], []
 
 
-def _hedge(item: Item, rng: Rng) -> Looks:
+def _hedge(item: Item, rng: Rng) -> ItemGeometry:
     return [box((*item.size_m[:2], item.size_m[2] + 0.3), (0, 0, -0.3), Material.FOLIAGE, 0.85)], []
 
 
-def _fence(item: Item, rng: Rng) -> Looks:
+def _fence(item: Item, rng: Rng) -> ItemGeometry:
     length, _, height = item.size_m
     posts = np.arange(-length / 2, length / 2 + 0.1, 2.2)
     parts = [box((0.1, 0.1, height + 0.2), (float(x), 0, -0.2), Material.WOOD) for x in posts]
@@ -53,7 +53,7 @@ def _fence(item: Item, rng: Rng) -> Looks:
     return parts + [box((length, 0.04, 0.12), (0, 0, float(z)), Material.WOOD) for z in rails], []
 
 
-def _pole(item: Item, rng: Rng) -> Looks:
+def _pole(item: Item, rng: Rng) -> ItemGeometry:
     radius, height = item.size_m[0] / 2, item.size_m[2]
     parts = [prism((0, 0, -0.2), (0, 0, height), (radius, radius * 0.6), Material.METAL)]
     if rng.random() < 0.6:  # an arm with a lamp or a traffic light
@@ -63,14 +63,14 @@ def _pole(item: Item, rng: Rng) -> Looks:
     return parts, []
 
 
-def _sign(item: Item, rng: Rng) -> Looks:
+def _sign(item: Item, rng: Rng) -> ItemGeometry:
     height = item.size_m[2]
     face = rng.uniform(0.5, 0.9)
     post = prism((0, 0, -0.2), (0, 0, height), (0.035, 0.035), Material.METAL, 6)
     return [post, box((0.03, face, face), (0, 0, height - face), Material.METAL)], []
 
 
-def _tree(item: Item, rng: Rng) -> Looks:
+def _tree(item: Item, rng: Rng) -> ItemGeometry:
     height, crown = item.size_m[2], rng.uniform(1.2, 2.8)
     bare = min(rng.uniform(1.8, 3.2), height * 0.5)
     radius = item.size_m[0] / 2
@@ -85,7 +85,7 @@ def _tree(item: Item, rng: Rng) -> Looks:
     return [trunk], leaves
 
 
-def _bush(item: Item, rng: Rng) -> Looks:
+def _bush(item: Item, rng: Rng) -> ItemGeometry:
     length, width, height = item.size_m
     leaves = []
     for _ in range(int(rng.integers(1, 4))):
@@ -96,7 +96,7 @@ def _bush(item: Item, rng: Rng) -> Looks:
     return [], leaves
 
 
-def _thicket(item: Item, rng: Rng) -> Looks:
+def _thicket(item: Item, rng: Rng) -> ItemGeometry:
     length, width, height = item.size_m
     leaves = []
     for _ in range(int(np.clip(length / 1.6, 3, 16))):
@@ -108,18 +108,18 @@ def _thicket(item: Item, rng: Rng) -> Looks:
     return [], leaves
 
 
-def _dumpster(item: Item, rng: Rng) -> Looks:
+def _dumpster(item: Item, rng: Rng) -> ItemGeometry:
     length, width, height = item.size_m
     parts = [box((length, width, height * 0.85), (0, 0, 0.12), Material.METAL, rng.uniform(0.9, 1.1))]
     parts.append(box((length, width * 0.7, height * 0.12), (0, 0.1, 0.12 + height * 0.85), Material.METAL, 0.9))
     return parts, []
 
 
-def _container(item: Item, rng: Rng) -> Looks:
+def _container(item: Item, rng: Rng) -> ItemGeometry:
     return [box(item.size_m, (0, 0, 0.0), Material.METAL, float(rng.uniform(0.95, 1.0)))], []
 
 
-def _barrier(item: Item, rng: Rng) -> Looks:
+def _barrier(item: Item, rng: Rng) -> ItemGeometry:
     length, width, height = item.size_m
     return [
         box((length, width, height * 0.35), (0, 0, 0), Material.FACADE, 0.7),
@@ -145,11 +145,11 @@ def _person(height: float, rng: Rng, lean_m: float = 0.0, z: float = 0.0) -> lis
     return parts
 
 
-def _pedestrian(item: Item, rng: Rng) -> Looks:
+def _pedestrian(item: Item, rng: Rng) -> ItemGeometry:
     return _person(item.size_m[2], rng), []
 
 
-def _cyclist(item: Item, rng: Rng) -> Looks:
+def _cyclist(item: Item, rng: Rng) -> ItemGeometry:
     parts = [prism((x, -0.025, 0.34), (x, 0.025, 0.34), (0.34, 0.34), Material.METAL, 12) for x in (-0.53, 0.53)]
     parts.append(box((1.0, 0.05, 0.1), (0, 0, 0.55), Material.METAL))
     parts.append(prism((0.5, 0, 0.34), (0.4, 0, 1.0), (0.03, 0.03), Material.METAL, 6))
@@ -158,7 +158,7 @@ def _cyclist(item: Item, rng: Rng) -> Looks:
     return parts + rider, []
 
 
-LOOKS: dict[str, Callable[[Item, Rng], Looks]] = {
+ITEM_GEOMETRY: dict[str, Callable[[Item, Rng], ItemGeometry]] = {
     "building": _building,
     "wall": _wall,
     "hedge": _hedge,

@@ -54,8 +54,10 @@ def detector_name(name: str, values: Mapping[str, str]) -> str:
 
 def _foreign_layout(name: str, values: Mapping[str, str], command: str) -> dict[str, Any]:
     """Read the config of a detector of another codebase."""
+    from shift3d.detectors.foreign.config_common import ForeignOverrides
     from shift3d.detectors.foreign.detector import foreign_layout
-    from shift3d.detectors.foreign.parts import Choices
 
     numbers = [real_number(values, key, command, "1.7") for key in ("sensor_height_m", "intensity")]
-    return foreign_layout(name, Path(values["config"]).expanduser(), Choices(values.get("vehicle_class"), *numbers))
+    return foreign_layout(
+        name, Path(values["config"]).expanduser(), ForeignOverrides(values.get("vehicle_class"), *numbers)
+    )

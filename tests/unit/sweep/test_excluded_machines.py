@@ -20,10 +20,10 @@ from shift3d.settings.compose import compose_sweep, validate
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray import runner as runner_module
 from shift3d.sweep.execution.ray import worker as worker_module
-from shift3d.sweep.execution.ray.left_out import UNREAD_SCENES, LeftOut
+from shift3d.sweep.execution.ray.excluded_machines import MAX_UNREADABLE_SCENES, ExcludedMachines
 from shift3d.sweep.execution.ray.runner import RayRunner
-from shift3d.sweep.execution.ray.versions import difference, installed
-from shift3d.sweep.execution.ray.worker import Ready
+from shift3d.sweep.execution.ray.versions import installed_versions, version_mismatch
+from shift3d.sweep.execution.ray.worker import WorkerAddress
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.kind import shift3d_kind
 from shift3d.sweep.planning.plan import Plan, make_plan
@@ -88,7 +88,9 @@ class Ray:
 
     def _ready(self, machine: str) -> Any:
         if machine in self._starting:
-            return Ready(machine, f"host-{machine}:1", 1, "", {**installed(), **self.other.get(machine, {})})
+            return WorkerAddress(
+                machine, f"host-{machine}:1", 1, "", {**installed_versions(), **self.other.get(machine, {})}
+            )
         return exceptions.ActorDiedError(ActorDiedErrorContext(error_message=DIED, actor_id=b"0" * 16))
 
     def _run(self, machine: str, positions: list[int]) -> BatchOutcome:
@@ -176,7 +178,10 @@ def test_a_machine_whose_files_fail_scene_after_scene_is_left_out(monkeypatch: p
     ray.broken = "a"
     found, runner = outcomes(ray, monkeypatch, plan_of_scenes(40))
     failed = [name for outcome in found for name in outcome.quarantined]
-    assert len(failed) == UNREAD_SCENES and sum(len(outcome.done) for outcome in found) == 40 - UNREAD_SCENES
+    assert (
+        len(failed) == MAX_UNREADABLE_SCENES
+        and sum(len(outcome.done) for outcome in found) == 40 - MAX_UNREADABLE_SCENES
+    )
     (line,) = runner.left_out
     assert line.startswith("host-a is left out: tasks of 3 scenes in a row failed there: " + EIO)
     assert not any(outcome.fatal for outcome in found)
@@ -190,7 +195,7 @@ def test_where_the_files_of_every_machine_fail_the_last_one_is_not_left_out(monk
 
 
 def test_damaged_scenes_here_and_there_leave_no_machine_out() -> None:
-    left_out = LeftOut(Ray("ab", mounted="ab"), 1.0)
+    left_out = ExcludedMachines(Ray("ab", mounted="ab"), 1.0)
     assert not any(left_out.unread("a", {scene}, done=False) for scene in ("1", "1", "2", "1"))
     assert not left_out.unread("a", set(), done=True) and not left_out.unread("a", {"3", "4"}, done=False)
     assert left_out.unread("a", {"5"}, done=False)
@@ -210,7 +215,7 @@ def test_a_machine_with_other_versions_is_left_out(monkeypatch: pytest.MonkeyPat
     found, runner = outcomes(ray, monkeypatch)
     assert {machine for machine, _ in ray.ran} == {"b"} and not any(outcome.fatal for outcome in found)
     assert runner.left_out[0].startswith(
-        f"host-a is left out: has torch 1.0, not {installed()['torch']} as the driver."
+        f"host-a is left out: has torch 1.0, not {installed_versions()['torch']} as the driver."
     )
     ray = Ray("a", mounted="a")
     ray.other["a"] = {"torch": "1.0"}
@@ -220,5 +225,5 @@ def test_a_machine_with_other_versions_is_left_out(monkeypatch: pytest.MonkeyPat
 
 def test_another_build_is_another_version_and_a_source_tree_is_compared_with_none() -> None:
     here = {"shift3d": "1", "code": "abcd"}
-    assert difference(here, here) is None and difference({**here, "code": ""}, here) is None
-    assert "another build of shift3d: 1234, not abcd" in str(difference({**here, "code": "1234"}, here))
+    assert version_mismatch(here, here) is None and version_mismatch({**here, "code": ""}, here) is None
+    assert "another build of shift3d: 1234, not abcd" in str(version_mismatch({**here, "code": "1234"}, here))

@@ -14,25 +14,25 @@ from short_tasks import NO_GRID, STREET, WIDE, make_spec
 
 from shift3d.errors import InputError
 from shift3d.naturalness.build import reference_file
-from shift3d.naturalness.measure import NO_SURFACE, Naturalness, NaturalnessMeasure
-from shift3d.naturalness.reference import Nearest
+from shift3d.naturalness.measure import NO_SURFACE_MEASURE, NaturalnessMeasure, NaturalnessMeter
+from shift3d.naturalness.reference import NearestMember
 from shift3d.naturalness.sizes import Sizes
 from shift3d.naturalness.sources import reference_source, source_hash
 from shift3d.task.assets import load_assets, prepare_naturalness
 from shift3d.task.exchange import AssetsSpec
-from shift3d.task.kept_measures import kept_measures
+from shift3d.task.measure_cache import cached_measures
 from shift3d.task.run import run_task
 from shift3d.task.spec import AttackSpec, TaskSpec
 from shift3d.vehicles.sources import VehicleSource
 
 FAMILY = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family", naturalness=95)
 SHAPE = NaturalnessMeasure(
-    Nearest(7, "a car", (0.1 + 0.2, 1 / 3), (2.0, 3.0)), Sizes(4.5, 1.8, 1.5, math.nan, 0.1), 1 / 7, 0.95
+    NearestMember(7, "a car", (0.1 + 0.2, 1 / 3), (2.0, 3.0)), Sizes(4.5, 1.8, 1.5, math.nan, 0.1), 1 / 7, 0.95
 )
 SPEC = AssetsSpec(scenes=STREET, reference=WIDE)
 
 
-class Counted(Naturalness):
+class Counted(NaturalnessMeter):
     """Says of every vehicle the same, and counts."""
 
     def __init__(self, answer: NaturalnessMeasure = SHAPE) -> None:
@@ -56,10 +56,10 @@ def shipped() -> VehicleSource:
 
 
 def kept(vehicles: VehicleSource, measures: Counted, reference: str = "r") -> dict[str, NaturalnessMeasure]:
-    return kept_measures(vehicles, vehicles.decoder(), measures, reference)
+    return cached_measures(vehicles, vehicles.decoder(), measures, reference)
 
 
-@pytest.mark.parametrize("answer", [SHAPE, NO_SURFACE])
+@pytest.mark.parametrize("answer", [SHAPE, NO_SURFACE_MEASURE])
 def test_what_is_read_is_what_was_measured_to_the_bit(shipped: VehicleSource, answer: NaturalnessMeasure) -> None:
     measures = Counted(answer)
     first = kept(shipped, measures)
@@ -80,7 +80,7 @@ def test_code_that_makes_another_reference_set_measures_anew(
     made: list[str] = []
     measured: list[str] = []
     monkeypatch.setattr("shift3d.naturalness.build.program_digest", lambda *parts: made.extend(parts) or "digest")
-    monkeypatch.setattr("shift3d.task.kept_measures.program_digest", lambda *parts: measured.extend(parts) or "digest")
+    monkeypatch.setattr("shift3d.task.measure_cache.program_digest", lambda *parts: measured.extend(parts) or "digest")
     reference_file(reference_source(WIDE))
     kept(shipped, Counted())
     assert made and all(any(PurePath(part).is_relative_to(whole) for whole in measured) for part in made)
@@ -133,13 +133,13 @@ def test_the_driver_measures_every_kind_before_the_workers(
 def measured_codes(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     """The codes that are measured from here on."""
     codes: list[np.ndarray] = []
-    measure = Naturalness.of_code
+    measure = NaturalnessMeter.of_code
 
-    def counted(self: Naturalness, vehicle: object, decoder: object, code: object) -> NaturalnessMeasure:
+    def counted(self: NaturalnessMeter, vehicle: object, decoder: object, code: object) -> NaturalnessMeasure:
         codes.append(np.asarray(code, np.float32))
         return measure(self, vehicle, decoder, code)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Naturalness, "of_code", counted)
+    monkeypatch.setattr(NaturalnessMeter, "of_code", counted)
     return codes
 
 
@@ -148,7 +148,7 @@ def test_kinds_are_measured_where_a_budget_chooses_among_them_alone(
     attack: AttackSpec, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     natural = replace(SHAPE, sizes=Sizes(4.5, 1.8, 1.5, 0.2, 0.1))
-    monkeypatch.setattr(Naturalness, "of_code", Counted(natural).of_code)
+    monkeypatch.setattr(NaturalnessMeter, "of_code", Counted(natural).of_code)
     prepare_naturalness(SPEC, [make_spec(attack=attack), pose_of(attack)])
     assert cache.exists() == (attack is FAMILY)
 

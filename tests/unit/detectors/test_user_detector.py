@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from shift3d.detectors.own import OwnDetector, load_own
+from shift3d.detectors.user_detector import UserDetector, load_user_detector
 from shift3d.errors import InputError
 
 GUIDE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "detectors.md"
@@ -31,14 +31,14 @@ def points(count: int = 500) -> torch.Tensor:
 
 def test_the_guides_detector_takes_the_lines_that_it_promises(guides: Path) -> None:
     assert len([line for line in SOURCE.splitlines() if line.strip()]) <= 32
-    detector = load_own(guides, None)
+    detector = load_user_detector(guides, None)
     found = detector.proposals(points())
     assert found.boxes.shape == (10_000, 7) and found.logits.shape == (10_000,)
     assert found.anchor_index.tolist() == list(range(10_000))
 
 
 def test_its_gradient_is_that_of_the_scores(guides: Path) -> None:
-    detector = load_own(guides, None, "float64")
+    detector = load_user_detector(guides, None, "float64")
     at = points(20).double().requires_grad_()
     weights = torch.rand(10_000, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     assert torch.autograd.gradcheck(lambda x: (detector.proposals(x).logits * weights).sum(), (at,), atol=1e-6)
@@ -46,7 +46,7 @@ def test_its_gradient_is_that_of_the_scores(guides: Path) -> None:
 
 def test_a_cluster_of_points_is_found(guides: Path) -> None:
     cluster = torch.rand(600, 3) * torch.tensor([4.0, 1.8, 1.5]) + torch.tensor([18.0, -6.0, 0.2])
-    best = load_own(guides, None).detect(cluster, score_threshold=0.5).boxes[0]
+    best = load_user_detector(guides, None).detect(cluster, score_threshold=0.5).boxes[0]
     assert abs(best[0] - 20.0) <= 2.0 and abs(best[1] + 5.1) <= 1.5
 
 
@@ -66,17 +66,17 @@ def test_weights_are_handed_over_and_random_ones_are_the_same_everywhere(tmp_pat
     given = "\n        if weights: self.load_state_dict(torch.load(weights, weights_only=True))"
     path = written(tmp_path / "mine.py", f"self.layer = nn.Linear(3, 1){given}", "self.layer(points.sum(0))")
     at = points()
-    drawn = [load_own(path, None).proposals(at).logits for _ in range(2)]
+    drawn = [load_user_detector(path, None).proposals(at).logits for _ in range(2)]
     assert torch.equal(drawn[0], drawn[1])
     torch.save({"layer.weight": torch.ones(1, 3), "layer.bias": torch.zeros(1)}, tmp_path / "mine.pt")
-    torch.testing.assert_close(load_own(path, tmp_path / "mine.pt").proposals(at).logits, at.sum()[None])
+    torch.testing.assert_close(load_user_detector(path, tmp_path / "mine.pt").proposals(at).logits, at.sum()[None])
 
 
 def test_a_module_that_computes_in_float64_keeps_its_numbers(tmp_path: Path) -> None:
     parts = "self.w = nn.Parameter(torch.ones(3, dtype=torch.float64))"
     path, at = written(tmp_path / "mine.py", parts, "(points.double() @ self.w).sum()[None]"), points()
     for precision in ("float32", "float64"):
-        found = load_own(path, None, precision).proposals(at).logits  # type: ignore[arg-type]
+        found = load_user_detector(path, None, precision).proposals(at).logits  # type: ignore[arg-type]
         torch.testing.assert_close(found.double(), at.double().sum()[None])
 
 
@@ -85,7 +85,7 @@ def test_a_function_is_a_detector_too(tmp_path: Path) -> None:
     path.write_text(
         f"{HEAD}def score(points):\n    return {BOX}, points.sum()[None]\ndef load(weights): return score\n"
     )
-    assert isinstance(load_own(path, None), OwnDetector)
+    assert isinstance(load_user_detector(path, None), UserDetector)
 
 
 def test_a_file_that_changes_is_another_one(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_a_file_that_changes_is_another_one(tmp_path: Path) -> None:
     for factor in (2, 3):
         path.write_text(f"{HEAD}def load(weights): return lambda points: ({BOX}, {factor} * points.sum()[None])\n")
         at = torch.ones(1, 3)
-        assert float(load_own(path, None).proposals(at).logits) == 3.0 * factor
+        assert float(load_user_detector(path, None).proposals(at).logits) == 3.0 * factor
     assert not (tmp_path / "__pycache__").exists()
 
 
@@ -128,13 +128,13 @@ def test_what_is_no_detector_is_refused_in_one_line(tmp_path: Path, source: str,
     path = tmp_path / "mine.py"
     path.write_text(source)
     with pytest.raises(InputError, match=says) as caught:
-        load_own(path, None)
+        load_user_detector(path, None)
     assert caught.value.remedy and "\n" not in str(caught.value)
 
 
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        load_own(tmp_path / "mine.py", None)
+        load_user_detector(tmp_path / "mine.py", None)
 
 
 def test_equal_files_in_two_folders_are_two_modules(tmp_path: Path) -> None:
@@ -149,5 +149,5 @@ def test_equal_files_in_two_folders_are_two_modules(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / "w").write_text(weight)
         (tmp_path / name / "det.py").write_text(text)
-        found.append(float(load_own(tmp_path / name / "det.py", None).proposals(torch.zeros(4, 3)).logits[0]))
+        found.append(float(load_user_detector(tmp_path / name / "det.py", None).proposals(torch.zeros(4, 3)).logits[0]))
     assert found == [-1.0, 3.0]

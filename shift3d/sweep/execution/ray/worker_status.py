@@ -19,14 +19,14 @@ from dataclasses import dataclass
 
 # Index of the task in its call (-1 between tasks), its start by the machine's monotonic clock, and the thread id.
 _ENTRY = struct.Struct("<qdQ")
-_NAME = "shift3d-logbook"
+_NAME = "shift3d-worker-status"
 _SIGNAL = signal.SIGUSR2
 _STACK_S = 2.0
 _FRAME = re.compile(r'^  File "(.*)", line (\d+) in (.*)$', re.MULTILINE)
 
 
 @dataclass(frozen=True)
-class Whereabouts:
+class WorkerStatus:
     """Status of a worker. index: of the task in its call, None between tasks. seconds: since then. stack: innermost
     call last; "" between tasks, or if a stopped process does not write it."""
 
@@ -35,7 +35,7 @@ class Whereabouts:
     stack: str
 
 
-class Logbook:
+class WorkerStatusFile:
     """Status file of this process. On Linux (memfd) the file disappears with the process.
 
     Attributes:
@@ -59,7 +59,7 @@ class Logbook:
         os.pwrite(self._file, entry, 0)
 
 
-def read_logbook(path: str, pid: int) -> Whereabouts:
+def read_worker_status(path: str, pid: int) -> WorkerStatus:
     """Read the status of another process on this machine. Raises OSError: the process has ended."""
     # An open pidfd keeps the kernel from reusing the process id before the signal is sent.
     process = os.pidfd_open(pid) if hasattr(os, "pidfd_open") else None
@@ -74,7 +74,7 @@ def read_logbook(path: str, pid: int) -> Whereabouts:
     finally:
         if process is not None:
             os.close(process)
-    return Whereabouts(index if index >= 0 else None, seconds, stack)
+    return WorkerStatus(index if index >= 0 else None, seconds, stack)
 
 
 def _stack(file: int, pid: int, process: int | None, thread: int) -> str:

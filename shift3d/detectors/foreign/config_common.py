@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from shift3d.detectors.foreign.config_section import Section
 from shift3d.detectors.foreign.layout import Frame
-from shift3d.detectors.foreign.values import Section
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.backbone import BackboneSpec
 
@@ -32,7 +32,7 @@ _DATA_SETS = {
 
 
 @dataclass(frozen=True)
-class Choices:
+class ForeignOverrides:
     """User settings that override the config and the defaults of its data set; None: no override.
 
     vehicle_class: class to keep. sensor_height_m: height of the model's origin above the ground. intensity: constant
@@ -44,7 +44,7 @@ class Choices:
     intensity: float | None = None
 
 
-def vehicle_class(classes: Sequence[str], choices: Choices, section: Section) -> str:
+def vehicle_class(classes: Sequence[str], choices: ForeignOverrides, section: Section) -> str:
     """Return the class to keep. Raises InputError if the model has no class of that name."""
     wanted = (choices.vehicle_class,) if choices.vehicle_class else VEHICLE_CLASSES
     found = [name for name in wanted if name in classes]
@@ -54,7 +54,7 @@ def vehicle_class(classes: Sequence[str], choices: Choices, section: Section) ->
     return found[0]
 
 
-def frame_of(data_set: str, choices: Choices, section: Section) -> Frame:
+def frame_of(data_set: str, choices: ForeignOverrides, section: Section) -> Frame:
     """Return the model's frame. Raises InputError if the sensor height of the data set is unknown."""
     known = _DATA_SETS.get(data_set)
     height = choices.sensor_height_m if choices.sensor_height_m is not None else known.height_m if known else None
@@ -64,7 +64,9 @@ def frame_of(data_set: str, choices: Choices, section: Section) -> Frame:
     return Frame(height_m=height, turned=known is not None and known.turned)
 
 
-def channel_values(channels: Sequence[str], data_set: str, choices: Choices, section: Section) -> tuple[float, ...]:
+def channel_values(
+    channels: Sequence[str], data_set: str, choices: ForeignOverrides, section: Section
+) -> tuple[float, ...]:
     """Return a constant for each channel other than coordinates: the intensity, and 0 for timestamp and elongation.
 
     Raises InputError for another channel or an unknown intensity.

@@ -9,8 +9,8 @@ from typing import Any
 
 from shift3d.sweep.execution.ray.calls import Call
 from shift3d.sweep.execution.ray.failures import Failure
-from shift3d.sweep.execution.ray.logbook import Whereabouts, read_logbook
 from shift3d.sweep.execution.ray.worker_pool import PooledWorker
+from shift3d.sweep.execution.ray.worker_status import WorkerStatus, read_worker_status
 
 # A machine on which a status file cannot be read within this time is overloaded or lost.
 _ANSWER_S = 20.0
@@ -26,7 +26,7 @@ class Hang:
     failure: Failure
 
 
-class Watch:
+class HangDetector:
     """Detector of hanging calls. timeout_s: limit for one task, None for no limit."""
 
     def __init__(self, ray: Any, timeout_s: float | None) -> None:
@@ -59,12 +59,12 @@ class Watch:
 
         assert worker.where is not None  # a worker with a call is ready
         there = NodeAffinitySchedulingStrategy(worker.node_id, soft=False)
-        read = self._ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=there)(read_logbook)
-        return read.remote(worker.where.logbook, worker.where.pid)
+        read = self._ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=there)(read_worker_status)
+        return read.remote(worker.where.status_path, worker.where.pid)
 
     def _answered(self, call: Call, timeout_s: float) -> Hang | None:
         try:
-            at: Whereabouts = self._ray.get(call.question)
+            at: WorkerStatus = self._ray.get(call.question)
         except self._ray.exceptions.RayError as error:
             if isinstance(error, OSError) and not isinstance(error, ProcessLookupError | FileNotFoundError):
                 return _unseen(call)

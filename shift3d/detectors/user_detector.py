@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.names import OWN
-from shift3d.detectors.nms import SuppressedProposals
+from shift3d.detectors.nms import NmsDetector
 from shift3d.errors import InputError
 
 Model = Callable[[Tensor], Any]
@@ -34,7 +34,7 @@ _ALONE = "Install the library; what lies in a file beside it belongs into the fi
 _PROBE_POINTS = 2000
 
 
-class OwnDetector(SuppressedProposals):
+class UserDetector(NmsDetector):
     """Model of points (N, 3) behind the `Detector` interface. The model gets the whole scene in every call.
 
     Args:
@@ -63,13 +63,13 @@ class OwnDetector(SuppressedProposals):
         return Proposals(boxes.detach().float(), logits, torch.arange(len(logits)))
 
 
-def load_own(module: Path, weights: Path | None, precision: Precision = "float32") -> OwnDetector:
+def load_user_detector(module: Path, weights: Path | None, precision: Precision = "float32") -> UserDetector:
     """Load a detector from a Python file and test it on random points. ``load`` runs with a fixed torch seed.
 
     precision: "float64" converts the parameters of a torch module to float64; other values leave them unchanged.
 
     Raises InputError with the file and line if the file is missing, fails or has no ``load``, or if the model's output
-    is not as `OwnDetector` requires, differs between two calls, or is not differentiable w.r.t. the points.
+    is not as `UserDetector` requires, differs between two calls, or is not differentiable w.r.t. the points.
     """
     if not module.is_file():
         raise InputError("no such file", str(module), "Give detector.module=FILE.py")
@@ -85,7 +85,7 @@ def load_own(module: Path, weights: Path | None, precision: Precision = "float32
     if isinstance(model, nn.Module):
         model = model.eval().requires_grad_(False)
         model = model.double() if precision == "float64" else model
-    detector = OwnDetector(model, str(module), dtype)
+    detector = UserDetector(model, str(module), dtype)
     _try(detector, str(module))
     return detector
 
@@ -115,7 +115,7 @@ def _imported(path: Path) -> Any:
     return sys.modules[name]
 
 
-def _try(detector: OwnDetector, where: str) -> None:
+def _try(detector: UserDetector, where: str) -> None:
     draw = torch.Generator().manual_seed(0)
     reach, corner = torch.tensor([80.0, 80.0, 3.0]), torch.tensor([40.0, 40.0, 0.0])
     points = torch.rand(_PROBE_POINTS, 3, generator=draw) * reach - corner

@@ -17,13 +17,13 @@ from shift3d.errors import InputError
 from shift3d.progress_bar import write_line
 
 # Failed starts on one machine that show a defect of its installation.
-FAILED_STARTS = 3
+MAX_FAILED_STARTS = 3
 # Scenes in a row that a machine cannot read or write; one or two may themselves be damaged.
-UNREAD_SCENES = 3
+MAX_UNREADABLE_SCENES = 3
 _NODE_ID = "ray.io/node-id"
 
 
-class LeftOut:
+class ExcludedMachines:
     """Set of the machines that are left out. cpus: CPUs of a worker.
 
     Attributes:
@@ -53,7 +53,7 @@ class LeftOut:
     def failed_start(self, node_id: str) -> bool:
         """Count a failed start on a machine. Return True if the limit is reached."""
         self._failed[node_id] += 1
-        return self._failed[node_id] >= FAILED_STARTS
+        return self._failed[node_id] >= MAX_FAILED_STARTS
 
     def started(self, node_id: str) -> None:
         """Reset the count of failed starts on a machine, after a successful start."""
@@ -65,7 +65,7 @@ class LeftOut:
         done: the machine finished other tasks meanwhile, which resets the earlier count.
         """
         self._unread[node_id] = scenes | (set() if done else self._unread.get(node_id, set()))
-        return len(self._unread[node_id]) >= UNREAD_SCENES
+        return len(self._unread[node_id]) >= MAX_UNREADABLE_SCENES
 
     def show(self) -> None:
         """Print the new lines. Called once other machines run tasks; if none does, the sweep's error reports them."""

@@ -16,7 +16,7 @@ from shift3d.render.culling import Box
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import STANDARD, RenderSettings
 from shift3d.task.assets import Assets
-from shift3d.task.kept_grids import kept_grid
+from shift3d.task.grid_cache import cached_grid
 
 LIVE = (torch.tensor([True, False, True]), torch.tensor([False, True]))
 
@@ -51,7 +51,7 @@ def never(*_: object) -> SdfGrid:
 
 
 def kept(make: object, settings: RenderSettings = STANDARD, decoder: str = "d", vehicle: str = "v") -> SdfGrid:
-    return kept_grid(decoder, vehicle, settings, make)  # type: ignore[arg-type]
+    return cached_grid(decoder, vehicle, settings, make)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("grid", [some_grid(), some_grid(None), some_grid((), float("inf"))])
@@ -100,7 +100,7 @@ def test_a_folder_that_cannot_be_written_is_done_without(cache: Path) -> None:
 
 
 def test_the_oldest_make_room(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("shift3d.task.kept_grids.FILES_KEPT", 2)
+    monkeypatch.setattr("shift3d.task.grid_cache.FILES_KEPT", 2)
     for age, vehicle in enumerate("abc"):
         kept(some_grid, vehicle=vehicle)
         for file in cache.iterdir():

@@ -17,7 +17,7 @@ _KEY = ["task_id", "method", "replicate"]
 
 
 @dataclass(frozen=True)
-class Choice:
+class SelectionRule:
     """Rule of the selection.
 
     method: of the solutions. count: largest number of hard objects. by: "random" draws without bias; "hardest" takes
@@ -33,7 +33,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class Selection:
     """Selected rows of ``solutions.parquet``, and rows of ``scores.parquet``.
 
     hard, controls: solutions in plan order. scores: all rows of the sweep with a score, one per object and detector.
@@ -47,7 +47,7 @@ class Chosen:
     unverified: int
 
 
-def choose_solutions(sweep: Location, choice: Choice) -> Chosen:
+def select_solutions(sweep: Location, choice: SelectionRule) -> Selection:
     """Select the solutions of a finished sweep to freeze; the same tables and choice give the same solutions.
 
     Left out: objects without a score, without a change by the search, or with a broken constraint; objects that a
@@ -70,7 +70,7 @@ def choose_solutions(sweep: Location, choice: Choice) -> Chosen:
     hard = solutions.merge(taken[_KEY], on=_KEY)
     controls = solutions[(solutions["method"] == "baseline") & solutions["task_id"].isin(hard["task_id"])]
     controls = controls if choice.controls and choice.method != "baseline" else controls[:0]
-    return Chosen(hard, controls, scores[scores["score"].notna()], left_out, int(taken["stable"].isna().sum()))
+    return Selection(hard, controls, scores[scores["score"].notna()], left_out, int(taken["stable"].isna().sum()))
 
 
 def _eligible(rows: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, int]]:
@@ -93,7 +93,7 @@ def _eligible(rows: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, int]]:
     return rows, left_out
 
 
-def _taken(rows: pd.DataFrame, choice: Choice) -> pd.DataFrame:
+def _taken(rows: pd.DataFrame, choice: SelectionRule) -> pd.DataFrame:
     if len(rows) <= choice.count:
         return rows
     if choice.by == "hardest":

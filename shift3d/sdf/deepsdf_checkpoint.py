@@ -24,7 +24,7 @@ _KNOWN_SPECS = {
 
 
 @dataclass(frozen=True)
-class Experiment:
+class DeepSdfCheckpoint:
     """Trained auto-decoder of the original repository.
 
     decoder: folded float32 weights, eval mode, requires_grad False; a `Decoder`, which renders faster, if the network
@@ -59,7 +59,7 @@ def experiment_files(folder: Path | str, checkpoint: str = "latest") -> tuple[Pa
     return specs, weights, codes
 
 
-def load_experiment(folder: Path | str, checkpoint: str = "latest") -> Experiment:
+def load_deepsdf_checkpoint(folder: Path | str, checkpoint: str = "latest") -> DeepSdfCheckpoint:
     """Load a checkpoint in the original layout; its values equal those of the original code up to rounding.
 
     checkpoint: "latest" or an epoch. Weight-norm pairs, of old and new torch, are folded; a `module.` prefix is
@@ -76,7 +76,7 @@ def load_experiment(folder: Path | str, checkpoint: str = "latest") -> Experimen
         raise InputError(what, where=str(codes_file), remedy="Give codes and weights of one checkpoint")
     table = _codes(codes, specs.code_length, codes_file)
     names = _instances(values, len(table), specs_file)
-    return Experiment(_network(weights, specs, weights_file), table, names, epochs[0])
+    return DeepSdfCheckpoint(_network(weights, specs, weights_file), table, names, epochs[0])
 
 
 def _epoch(content: dict[str, Any], path: Path) -> int | None:

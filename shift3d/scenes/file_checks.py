@@ -99,7 +99,7 @@ def require_array(values: NDArray[Any], shape: tuple[int, ...], dtype: type[np.g
         raise InputError(f"dtype {values.dtype}", where, f"Cast it to {np.dtype(dtype).name}")
 
 
-def first_few(names: Collection[str]) -> str:
+def abbreviated_list(names: Collection[str]) -> str:
     """Join the first names in order, and append the total number."""
     ordered = sorted(names)
     return ", ".join(ordered[:5]) + (f", ... ({len(ordered)} in all)" if len(ordered) > 5 else "")

@@ -15,7 +15,7 @@ DELETE = "_delete_"
 
 
 @dataclass(frozen=True)
-class Unread:
+class UnevaluatedExpression:
     """Expression of a config whose value would need execution."""
 
     text: str
@@ -55,7 +55,7 @@ class Section:
         value = self.values.get(name, default)
         if value is _REQUIRED:
             self.refuse(f"{name} is missing", "Give the config that the model was trained with")
-        if isinstance(value, Unread):
+        if isinstance(value, UnevaluatedExpression):
             what = f"{self._name(name)} is no literal: {value.text}"
             raise InputError(what, f"{value.file}, line {value.line}", "Write its value there: configs are never run")
         return value
@@ -106,7 +106,7 @@ class Section:
     def numbers(self, name: str, count: int | None = None, default: Any = _REQUIRED) -> tuple[float, ...]:
         return tuple(self._number(name, value) for value in self.sequence(name, default, count))
 
-    def wholes(self, name: str, count: int | None = None, default: Any = _REQUIRED) -> tuple[int, ...]:
+    def integers(self, name: str, count: int | None = None, default: Any = _REQUIRED) -> tuple[int, ...]:
         """Return integers of at least 1."""
         return tuple(self._whole(name, value) for value in self.sequence(name, default, count))
 

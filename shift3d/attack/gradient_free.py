@@ -12,13 +12,13 @@ from torch import Tensor
 from shift3d.attack.loop import best_step
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
-from shift3d.attack.trials import FREE_DISTANCE, Family, Search, Trials
+from shift3d.attack.trials import FREE_DISTANCE, Family, Search, SearchEvaluator
 
 SIGMA = 0.3
 """Initial standard deviation of an evolution, in the variable's units (our choice)."""
 
 
-def draw_best(
+def search_by_draws(
     problem: AttackProblem,
     search: Search,
     evaluations: int,
@@ -33,13 +33,13 @@ def draw_best(
     budget, the next candidate is half way back to the best so far.
     Returns: the valid draw with the lowest loss. Source: our choice: the paper's random objects are one draw each.
     """
-    trials = Trials(problem, search, differentiable=False)
+    trials = SearchEvaluator(problem, search, differentiable=False)
     trials.evaluate(search.start, False)
     for _ in range(evaluations):
         within = trials.trace[-1].within_budget
         if within and family is not None:
             problem, search = family.of(int(rng.integers(len(family.order))))
-            trials.turn_to(problem, search)
+            trials.switch_kind(problem, search)
         trials.evaluate(search.draw(rng, distance) if within else search.project(trials.back()), False)
     return trials.result(best_step(trials.trace))
 
@@ -55,7 +55,7 @@ def evolve(problem: AttackProblem, search: Search, evaluations: int, rng: np.ran
     """
     import cma
 
-    trials = Trials(problem, search, differentiable=False)
+    trials = SearchEvaluator(problem, search, differentiable=False)
     trials.evaluate(search.start, False)
     start = search.start.detach().double().numpy()
     options: dict[str, Any] = {

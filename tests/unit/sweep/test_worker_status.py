@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from shift3d.sweep.execution.ray.logbook import Whereabouts, read_logbook
+from shift3d.sweep.execution.ray.worker_status import WorkerStatus, read_worker_status
 
-# Says where its logbook is, then hangs in the third task of its call, in the way that it is told.
+# Prints the path of its status file, then hangs in the third task of its call, in the way that its argument names.
 HANGS = """
 import re, sys, threading, time
-from shift3d.sweep.execution.ray.logbook import Logbook
+from shift3d.sweep.execution.ray.worker_status import WorkerStatusFile
 
 def sleeps():
     time.sleep(3600)
@@ -25,13 +25,13 @@ def holds_the_interpreter():
     re.match("(a+)+$", "a" * 64 + "b")
 
 def ends():
-    logbook.note(None)
+    status_file.note(None)
     time.sleep(3600)
 
 threading.Thread(target=time.sleep, args=(3600,), daemon=True).start()
-logbook = Logbook()
-logbook.note(2)
-print(logbook.path, flush=True)
+status_file = WorkerStatusFile()
+status_file.note(2)
+print(status_file.path, flush=True)
 globals()[sys.argv[1]]()
 """
 
@@ -67,7 +67,7 @@ def test_the_stack_of_a_task_that_hangs_ends_where_it_is(
 ) -> None:
     path, process = hanging(how)
     for _ in range(2):  # what was said the first time is not said again
-        at = read_logbook(path, process.pid)
+        at = read_worker_status(path, process.pid)
         assert at.index == 2 and 0.2 < at.seconds < 60
         assert at.stack.count("globals()[sys.argv[1]]()") == 1 and line in at.stack, at.stack
         assert at.stack.index("globals()") < at.stack.index(line), "the innermost call comes last"
@@ -79,14 +79,14 @@ def test_a_stopped_process_says_which_task_and_no_stack(
 ) -> None:
     path, process = hanging("sleeps")
     process.send_signal(signal.SIGSTOP)
-    at = read_logbook(path, process.pid)
+    at = read_worker_status(path, process.pid)
     assert at.index == 2 and at.stack == ""
 
 
 def test_between_tasks_there_is_nothing_to_see(hanging: Callable[[str], tuple[str, subprocess.Popen[str]]]) -> None:
     path, process = hanging("ends")
-    at = read_logbook(path, process.pid)
-    assert at == Whereabouts(None, at.seconds, "")
+    at = read_worker_status(path, process.pid)
+    assert at == WorkerStatus(None, at.seconds, "")
 
 
 def test_a_process_that_is_gone_is_no_other_ones_business(
@@ -96,7 +96,7 @@ def test_a_process_that_is_gone_is_no_other_ones_business(
     process.kill()
     process.wait()
     with pytest.raises(OSError):
-        read_logbook(path, process.pid)
-    # Its number may have another owner by now, who knows nothing of logbooks and would be ended by the signal.
+        read_worker_status(path, process.pid)
+    # Its number may have another owner by now, which has no handler and would be ended by the signal.
     with pytest.raises(OSError):
-        read_logbook(path, os.getpid())
+        read_worker_status(path, os.getpid())

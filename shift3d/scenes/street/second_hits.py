@@ -42,7 +42,7 @@ def second_returns(
     choice, from the physics.
     """
     through, through_hits, through_share = _through(world, sweep, kept, paint, rng)
-    edge, edge_hits, edge_share = _past_edges(world, sweep, kept, rng)
+    edge, edge_hits, edge_share = _behind_silhouettes(world, sweep, kept, rng)
     cell = np.concatenate((through, edge))
     share = np.concatenate((through_share, edge_share))
     order = np.argsort(cell, kind="stable")
@@ -72,19 +72,19 @@ def _through(
     return cell, hits, share.reshape(-1)[cell]
 
 
-def _past_edges(
+def _behind_silhouettes(
     world: World, sweep: Sweep, kept: NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[NDArray[np.intp], Hits, Float]:
     """Return flat cells of beams at a silhouette, the nearest hits behind it, and the share of the cone beside it."""
     solid = (sweep.material != Material.GLASS) & ~_in_leaves(world, sweep)
-    cell = np.flatnonzero(kept & solid & _beside_a_step(sweep))
+    cell = np.flatnonzero(kept & solid & _at_range_steps(sweep))
     row, column = np.unravel_index(cell, kept.shape)
     axis, starts = sweep.directions[row, column].astype(np.float64), _starts(sweep, column)
     first_m, item = sweep.range_m[row, column], sweep.item[row, column]
     half = sweep.sensor.divergence_rad / 2
     hits = []
     for left, up in _SIDES:
-        aim = np.cos(half) * axis + np.sin(half) * _aside(axis, left, up)
+        aim = np.cos(half) * axis + np.sin(half) * _perpendicular(axis, left, up)
         side = world.hits_from(sweep.sensor, starts, aim, np.zeros(len(cell)), rng)
         side.range_m[(side.range_m < first_m + SEPARATION_M) | (side.item == item)] = np.inf
         hits.append(side)
@@ -101,7 +101,7 @@ def _parts(hits: Hits) -> tuple[NDArray[Any], ...]:
     return hits.range_m, hits.item, hits.material, hits.cosine
 
 
-def _beside_a_step(sweep: Sweep) -> NDArray[np.bool_]:
+def _at_range_steps(sweep: Sweep) -> NDArray[np.bool_]:
     """Mark hits with another object well behind in a neighbouring cell; no silhouette can cut the other hits.
 
     A beam's cone is narrower than the steps between beams. (Some gaps narrower than the steps are missed.)
@@ -125,7 +125,7 @@ def _in_leaves(world: World, sweep: Sweep) -> NDArray[np.bool_]:
     return leaves
 
 
-def _aside(axis: Float, left: float, up: float) -> Float:
+def _perpendicular(axis: Float, left: float, up: float) -> Float:
     """Compute unit vectors (N, 3) at right angles to the beams, to their left or upwards."""
     flat = np.hypot(axis[:, 0], axis[:, 1])
     leftwards = np.stack((-axis[:, 1], axis[:, 0], np.zeros(len(axis))), axis=1) / flat[:, None]

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder
-from shift3d.sdf.foreign import load_experiment
+from shift3d.sdf.deepsdf_checkpoint import load_deepsdf_checkpoint
 
 CODE = 4
 PUBLISHED = {"dims": [16, 16, 16], "latent_in": [2], "weight_norm": True, "norm_layers": [0, 1, 2]}
@@ -79,7 +79,7 @@ class Original(nn.Module):
 
 
 def load_decoder_and_codes(folder: Path, checkpoint: str = "latest") -> tuple[Any, torch.Tensor]:
-    found = load_experiment(folder, checkpoint)
+    found = load_deepsdf_checkpoint(folder, checkpoint)
     return found.decoder, found.codes
 
 
@@ -237,7 +237,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 
 def test_real_decoder_is_zero_on_its_cars(real_data: Callable[[str], Path]) -> None:
     """Every eighth car: its own code, 500 points of its surface, in units of 2.4 m; the files took 2 cm at 4.5 m."""
-    experiment = load_experiment(real_data("decoder"))
+    experiment = load_deepsdf_checkpoint(real_data("decoder"))
     assert len(experiment.instances) == len(experiment.codes) == 57
     for index in range(0, 57, 8):
         mesh = trimesh.load(real_data("vehicles") / f"{experiment.instances[index]}.ply")
