@@ -205,7 +205,7 @@ def test_whatever_fails_while_assets_are_loaded_is_the_machines_defect() -> None
     def load(_: AssetsSpec) -> object:
         raise ImportError("libtorch.so: file too short")
 
-    with pytest.raises(InputError, match=r"test_left_out.py:\d+: .* ImportError: libtorch.so: file too short"):
+    with pytest.raises(InputError, match=r"test_excluded_machines.py:\d+: .* ImportError: libtorch.so: file too short"):
         worker_module._load(load, AssetsSpec({"kind": "street"}), {})
 
 
