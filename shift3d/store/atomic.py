@@ -75,7 +75,8 @@ def put_if_absent(path: Path, content: bytes) -> bool:
                 raise UncertainError(what, str(path), "Check the disk and run the same command again") from error
             return True
         finally:
-            temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # a temporary file that stays does no harm; `gc` removes it
+                temporary.unlink(missing_ok=True)
 
 
 def check_writable(folder: Path, word: str = "out=DIR") -> None:

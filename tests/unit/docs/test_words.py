@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import io
 import re
 import subprocess
@@ -78,3 +79,18 @@ def test_no_text_has_a_term_of_ours(terms: tuple[str, ...]) -> None:
         for number, line in enumerate((ROOT / path).read_text(encoding="utf-8").splitlines(), 1):
             found += [f"{path}:{number}: {hit}" for hit in pattern.findall(line) if hit.lower() not in allowed]
     assert found == [], "use the term of the field, and no history"
+
+
+def test_a_docstring_names_its_subject() -> None:
+    """No docstring of the package begins with a clause ("What ...", "Where ...") in place of a noun or a verb."""
+    clause = re.compile(r"(What|Whether|Where|How|Which|Those|That|When|As|Who|Why|If|Of|With|Without)\b")
+    found = []
+    for path in tracked("shift3d/*.py"):
+        tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+        texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Expr))
+        found += [
+            f"{path}:{text.lineno}: {text.value[:60]}"
+            for text in texts
+            if isinstance(text, ast.Constant) and isinstance(text.value, str) and clause.match(text.value)
+        ]
+    assert found == [], 'begin with a noun, a verb, or "True if"'

@@ -75,3 +75,16 @@ def test_a_folder_that_cannot_be_flushed_leaves_the_outcome_open(
     with pytest.raises(UncertainError, match="cannot be flushed"):
         put_if_absent(tmp_path / "entry", b"content")
     assert (tmp_path / "entry").read_bytes() == b"content"
+
+
+def test_a_temporary_file_that_cannot_be_removed_does_not_undo_the_entry(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The entry exists: an error here would make the commit log delete the segments that it names."""
+
+    def fails(path: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EIO, "I/O error")
+
+    monkeypatch.setattr(Path, "unlink", fails)
+    assert put_if_absent(tmp_path / "entry", b"content")
+    assert (tmp_path / "entry").read_bytes() == b"content"
