@@ -14,7 +14,7 @@ from shift3d.seeding import generator
 FloatArray = NDArray[np.float64]
 _FLIPS = 9_999
 _ALL_PATTERNS = 13  # Up to this number of scenes all sign patterns are enumerated, which makes the p-values exact.
-_MOST_OBJECTS = 1_000_000
+_MOST_OBJECTS = 2**20
 
 
 def scene_sums(differences: FloatArray, places: Sequence[str]) -> FloatArray:
@@ -83,7 +83,7 @@ def objects_needed(loss: float, churn: float, power: float, level: float) -> int
     """Find the smallest number of objects that detects a loss of recall with the given power.
 
     loss: share of the objects that is lost beyond churn. churn: share that is lost without a loss, and equally the
-    share that is gained. Returns None if 524,288 objects, the largest power of two below a million, are too few.
+    share that is gained. Returns None if 2^20 objects, somewhat more than a million, are too few.
     """
 
     def enough(objects: int) -> bool:
