@@ -12,7 +12,7 @@ DETECTOR_NAMES: tuple[str, ...] = get_args(TrainedName)
 ONNX_EXPORTABLE = ("pointpillars", "centerpoint")
 """Detectors that can be exported as ONNX files, see `detectors.compiled`."""
 OWN = "own"
-"""The user's own detector, see `detectors.own`."""
+"""The user's own detector, see `detectors.user_detector`."""
 FOREIGN: tuple[str, ...] = get_args(ForeignName)
 """Detectors trained with other codebases, see `detectors.foreign`."""
 ONNX = "onnx"

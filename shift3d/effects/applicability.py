@@ -26,7 +26,7 @@ half of a score's permitted difference from its reference; two presets may diffe
 @dataclass(frozen=True)
 class DataRequirement:
     """Data that an effect needs from a scene. lacking: message if the data are missing; remedy: way to supply them.
-    by_reader: the effect applies only to detectors that read more than coordinates."""
+    needs_reflectance_reader: the effect applies only to detectors that read more than coordinates."""
 
     present: Callable[[SceneFacts], bool]
     lacking: str

@@ -49,7 +49,7 @@ class VehicleRows:
 
     @property
     def matched(self) -> Flags:
-        """Mask (V,) bool of vehicles with a match of at least FOUND_SCORE."""
+        """Mask (V,) bool of vehicles with a match of at least MATCH_SCORE."""
         return np.asarray(self.score >= MATCH_SCORE)
 
 

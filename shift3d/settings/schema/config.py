@@ -52,7 +52,7 @@ class DetectorConfig(Record):
     shipped weights. scored_by: names of scoring detectors; None: every detector with weights. The attacked detector
     always scores, as the first. module: Python file of the user's detector "own". file: file of the detector "onnx".
     original: detector that the ONNX file was exported from, whose scores it must match. config: config file of another
-    codebase's detector. vehicle_class, sensor_height_m, intensity: see `detectors.foreign.parts.ForeignOverrides`.
+    codebase's detector. vehicle_class, sensor_height_m, intensity: see `detectors.foreign.config_common`.
     """
 
     name: DetectorName
