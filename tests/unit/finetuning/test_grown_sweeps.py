@@ -29,7 +29,7 @@ def test_objects_of_tasks_that_were_retried_are_scored_too(tmp_path: Path, monke
         return table(folder)
 
     monkeypatch.setattr(report, "attacked_scores", table)
-    monkeypatch.setattr(report, "rescored", rescored)
+    monkeypatch.setattr(report, "rescore_objects", rescored)
     for grown in (True, False):
         report.score_held_out(tmp_path, tuned)
         assert scored == (list(report.HELD_OUT) if grown else [])

@@ -102,9 +102,7 @@ def test_it_is_one_process_that_serves_the_page_and_files_of_runs(server: Server
     assert b"<html" in urllib.request.urlopen(address, timeout=30).read()
     file = f"{address}/get-artifact?run_uuid={store.split()[1]}&path=auc.csv"
     assert urllib.request.urlopen(file, timeout=30).read() == b"mode,auc\n"
-    foreign = urllib.request.SweepRequest(
-        f"{address}/ajax-api/2.0/mlflow/experiments/search", headers={"Host": "evil.org"}
-    )
+    foreign = urllib.request.Request(f"{address}/ajax-api/2.0/mlflow/experiments/search", headers={"Host": "evil.org"})
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(foreign, timeout=30)
 
