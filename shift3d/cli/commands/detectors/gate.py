@@ -34,10 +34,10 @@ examples:
 
 The last release is the last accepted one (in SUITE/releases or releases=DIR), else the weights of the suite's sweep.
 accept=true makes the weights the next release if nothing got worse, accept=anyway in any case. against=N compares with
-release N. name=NAME tells detectors of one kind apart: it names the detector whose releases these are, by default after
-the file of module=, config= or file=. A score above score_threshold=0.3 is a detection. The weights are worse if a
-measure fell by tolerance=0.005 or more, and by so much that chance alone explains it in at most level=0.05 of releases
-that are no worse. root=PATH is the data set of a suite with frames=referenced. jobs/gate_ci.yaml runs the gate in CI;
+release N. name=NAME names the detector, so that detectors of one kind have separate releases; the default is the name
+of the file of module=, config= or file=. A score above score_threshold=0.3 is a detection. The weights are worse if a
+measure fell by tolerance=0.005 or more, and chance causes such a fall in at most level=0.05 of releases that are no
+worse. root=PATH is the data set of a suite with frames=referenced. jobs/gate_ci.yaml runs the gate in CI;
 docs/guides/gate.md says how many objects a suite needs."""
 
 

@@ -60,8 +60,8 @@ examples:
                                                    generator's parameters
 
 detectors: the vehicles in training are meshes of the wide family's seen kinds, each a different one. The decoder makes
-none of them, and the kinds that attacks use are held out (docs/why/family.md). In the later steps half of the crops
-hold two to four more vehicles, cast into the scene on free ground (inserted=0: none). If only part of a frame is
+none of them; the held-out kinds are for attacks and evaluation (docs/why/family.md). In the later steps half of the
+crops hold two to four more vehicles, cast into the scene on free ground (inserted=0: none). If only part of a frame is
 labelled (KITTI: the camera's view), training uses only that part.
 mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere float32. mlflow=none writes no curves.
 

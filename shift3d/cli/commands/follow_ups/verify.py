@@ -12,7 +12,7 @@ from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
-Checks that low scores are no numerical errors. Scores every solution of a finished sweep again: rendered exactly in
+Checks that low scores are not numerical errors. Scores every solution of a finished sweep again: rendered exactly in
 float64, with new noise on the beams that hit the vehicle, and at poses slightly off its own. Writes the result to
 OUT/final: columns score_reference and stable of scores.parquet, all values in verification.parquet, and the page
 stability.html. The same command resumes. A sweep that runs again keeps its verification."""
