@@ -30,7 +30,7 @@ detector's gradient to a shape or a pose that the detector misses (SHIFT3D)."""
 _EPILOG = f"""\
 examples:
   shift3d sweep                          the paper's tables on procedural streets, into outputs/
-  shift3d sweep smoke                    a small trial of a minute; its numbers mean nothing
+  shift3d sweep smoke                    a trial of one minute; its numbers mean nothing
   shift3d sweep natural                  hard shapes that are vehicles
   shift3d sweep kitti scenes.root=PATH   the same tables on real KITTI frames
   shift3d plan default vehicle=suv       the tasks and their expected time; runs nothing

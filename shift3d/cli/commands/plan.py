@@ -22,8 +22,8 @@ time. --tasks lists every task in order with its id. --places counts the places 
 against the other places. Runs nothing. The same as: shift3d sweep plan.
 
 The expected time of a task comes from the tasks that ran in timings=OUT, else in the sweep's own folder, else in
-reuse=OUT; without any of these, from the shipped times. Tasks that are done in the own folder or in reuse=OUT do not
-count.
+reuse=OUT; without any of these, from the shipped times. Tasks that the sweep's folder or reuse=OUT holds as
+done do not count.
 
 Task ids and the folder's name depend on the content of the scenes. If the plan would have to generate many streets for
 these alone, it leaves them out; --tasks, reuse= and the sweep itself generate the streets and cache the result."""

@@ -83,8 +83,8 @@ def test_frames_of_one_name_are_said_and_make_no_pool() -> None:
     plan = make_plan(compose_sweep("default", words), two_folders)[0]
     names = [("street-hdl64", name) for name in valid_sweeps.SCENES]
     assert plan.tasks.ambiguous_scenes() == names
-    said = "2 scene names (e.g. street-hdl64/north, street-hdl64/south) refer to several frames"
-    assert said in plan_summary(plan)
+    line = "2 scene names (e.g. street-hdl64/north, street-hdl64/south) refer to several frames"
+    assert line in plan_summary(plan)
     with pytest.raises(InputError, match="two scenes of street-hdl64 are called north"):
         pool_plan(plan)
     alone = make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0]

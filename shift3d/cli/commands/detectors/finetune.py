@@ -33,7 +33,8 @@ the detector on held-out streets: on the same vehicles (finetune_held_out) and o
 (finetune_other_vehicles), both attacked before and after the tuning, and on natural streets. It writes
 finetune.parquet, report.html and an MLflow run.
 
-The command runs other commands of shift3d and prints each of them first. The same command skips finished steps."""
+The command runs other commands of shift3d and prints each of them first. The same command resumes: it skips finished
+steps."""
 
 _EPILOG = """\
 examples:
