@@ -22,13 +22,13 @@ class ExitCode(IntEnum):
 
 EXIT_CODES = {
     ExitCode.DONE: "done",
-    ExitCode.UNUSABLE: "something you gave cannot be used",
+    ExitCode.UNUSABLE: "an input of the command cannot be used",
     ExitCode.INCOMPLETE: "done, but tasks were quarantined, no vehicle found a place or a fit is far worse than usual",
     ExitCode.TAKEN_OVER: "another driver took the sweep over",
-    ExitCode.ABORTED: "too many tasks failed to go on",
+    ExitCode.ABORTED: "too many tasks failed, and the driver stopped",
     ExitCode.WORSE: "a gate found the weights worse than the last release",
     ExitCode.INTERRUPTED: "interrupted",
-    ExitCode.NO_READER: "the reader of the output left",
+    ExitCode.NO_READER: "the reader of the output closed the pipe",
 }
 
 

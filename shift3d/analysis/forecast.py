@@ -129,8 +129,8 @@ def limit_line(longest_s: float, runner: RunnerConfig) -> str:
         return ""
     enough_s = 60 * math.ceil(4 * longest_s / 60)
     return (
-        f"a task is expected to take {duration(longest_s)}; one that takes more than {duration(limit_s)} is ended, "
-        f"retried once and quarantined (runner.task_timeout_s={limit_s:g}): give runner.task_timeout_s={enough_s}"
+        f"a task is expected to take {duration(longest_s)}; the driver stops a task after {duration(limit_s)}, retries "
+        f"it once and then quarantines it (runner.task_timeout_s={limit_s:g}): give runner.task_timeout_s={enough_s}"
     )
 
 
@@ -186,7 +186,7 @@ class _Model:
         presets, whose = measured_presets()
         self._rendering_ms = presets["ms_median"].to_dict()
         self._impact = measured_impact()
-        self.source = f"the figures that ship: {self._parts.source}; presets by {whose}"
+        self.source = f"the shipped times: {self._parts.source}; presets by {whose}"
 
     def seconds(self, spec: TaskSpec) -> float:
         more_ms = sum(max(self._impact[name].milliseconds, 0.0) for name in spec.effects if name in self._impact)
@@ -224,11 +224,11 @@ def run_time_lines(
     workers = runner.workers_on(usable_cpus()) if isinstance(runner, RayRunnerConfig) else 1
     mean, wall = found.seconds / len(left), found.seconds / min(workers, len(left))
     text = (
-        f"{progress}expected: {counted(len(left), 'task')} of {duration(mean)}: {duration(wall)} with "
-        f"{counted(workers, 'worker')} (runner.workers=N), {found.seconds / 3600:.3g} core-hours\n"
-        f"  by {found.source}"
+        f"{progress}expected run time: {duration(wall)} with {counted(workers, 'worker')} (runner.workers=N), "
+        f"{found.seconds / 3600:.3g} core-hours, for {counted(len(left), 'task')} of {duration(mean)}\n"
+        f"  from {found.source}"
     )
-    if found.guessed and not found.source.startswith("the figures"):
-        text += f"; {found.guessed} of these tasks have other settings: scaled by the figures that ship"
+    if found.guessed and not found.source.startswith("the shipped"):
+        text += f"; the times of {counted(found.guessed, 'task')} with other settings are scaled by the shipped times"
     limit = limit_line(found.longest_s, runner)
     return f"{text}\n{limit}" if limit else text

@@ -147,7 +147,7 @@ def real_number(values: Mapping[str, str], key: str, where: str, example: str) -
 def local_path(text: str, key: str = "out") -> Path:
     """Parse a local path and expand ~. key: key of the word. Raises: InputError: a URL, or an unknown user after ~."""
     if "://" in text:
-        raise InputError("is no path of this machine, where this command writes", text, f"Give {key}=PATH")
+        raise InputError("is no local path, and this command writes to this machine", text, f"Give {key}=PATH")
     try:
         return Path(text).expanduser()
     except RuntimeError:

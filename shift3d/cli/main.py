@@ -25,15 +25,15 @@ COMMANDS: tuple[Command, ...] = tuple(module.COMMAND for module in _MODULES)
 
 _DESCRIPTION = """\
 Finds the blind spots of a LiDAR 3D detector: inserts a vehicle into a LiDAR scene and follows the
-detector's gradient to a shape or a pose of it that the detector misses (SHIFT3D)."""
+detector's gradient to a shape or a pose that the detector misses (SHIFT3D)."""
 
 _EPILOG = f"""\
 examples:
   shift3d sweep                          the paper's tables on procedural streets, into outputs/
-  shift3d sweep smoke                    a minute's worth of the same
+  shift3d sweep smoke                    a trial of one minute; its numbers mean nothing
   shift3d sweep natural                  hard shapes that are vehicles
-  shift3d sweep kitti scenes.root=PATH   on real KITTI frames
-  shift3d plan default vehicle=suv       what would run
+  shift3d sweep kitti scenes.root=PATH   the same tables on real KITTI frames
+  shift3d plan default vehicle=suv       the tasks and their expected time; runs nothing
   shift3d verify outputs/default-1a2b3c4d5e6f7a8b
   shift3d export outputs/default-1a2b3c4d5e6f7a8b task=ID method=adversarial to=DIR
 
@@ -52,7 +52,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="shift3d", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=form, allow_abbrev=False
     )
-    parser.add_argument("--version", action="store_true", help="print the versions that a report of a defect names")
+    parser.add_argument("--version", action="store_true", help="print the versions that a bug report should name")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for command in COMMANDS:
         sub = commands.add_parser(

@@ -14,10 +14,10 @@ _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 FRAME_VALUES = {"forward": _AXES, "up": _AXES, "unit": ("m", "cm", "mm", "in")}
 """Values for tab completion."""
 FRAME_TEXT = """\
-meshes: a PLY, OBJ, GLB or STL file, a folder of them, or a folder in ShapeNet's layout
+meshes: a PLY, OBJ, GLB or STL file, a folder of such files, or a folder in ShapeNet's layout
 ({synset}/{id}/models/model_normalized.obj). forward= and up= are axes of the files, by default ShapeNet's
-forward=-z up=+y (glTF's own are forward=+z up=+y). unit=m, cm, mm or in; normalised meshes take length_m=4.5
-instead. A mesh that is not closed is repaired, and said how, or refused."""
+forward=-z up=+y (glTF's are forward=+z up=+y). unit=m, cm, mm or in; for normalised meshes give length_m=4.5
+instead. The command repairs a mesh that is not closed and reports the repair, or refuses the mesh."""
 
 
 def mesh_frame(values: dict[str, str], where: str) -> MeshFrame:

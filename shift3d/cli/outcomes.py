@@ -34,6 +34,6 @@ def mirror(tracking: MlflowConfig | NoTrackingConfig, write: Callable[[str, str]
         return
     if problem := write(tracking.uri, tracking.experiment):
         print(f"warning: not in MLflow ({tracking.uri}): {problem}", file=sys.stderr)
-        print("the same command again writes it there once MLflow answers", file=sys.stderr)
+        print("the same command writes the run once MLflow answers", file=sys.stderr)
     else:
-        print(f"{f'MLflow run {run} in' if run else 'in MLflow,'} {tracking.uri}: shift3d ui")
+        print(f"MLflow run {f'{run} ' if run else ''}in {tracking.uri}; shift3d ui shows it")

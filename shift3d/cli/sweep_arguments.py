@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from shift3d.store.location import Location
 
 
-SWEEP_WORDS = "the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs"
+SWEEP_WORDS = "name of the sweep, overrides, out=DIR (output folder), job=NAME (launch spec: where the sweep runs)"
 SWEEP_METAVAR = "NAME | key=value"
-RUNNER_ARGUMENT = ("where it runs: settings of conf/runner", "runner=...", runner_words)
+RUNNER_ARGUMENT = ("settings of conf/runner: where the tasks run", "runner=...", runner_words)
 """Help, metavar and completer of words that :func:`compose_runner` parses."""
 
 
@@ -99,7 +99,7 @@ def _words_of_folder(words: list[str]) -> list[str]:
     if not (folder / "spec.yaml").is_file() and ("/" not in words[0] or folder.is_file()):
         return words
     if any(word.startswith("out=") and as_location(word.removeprefix("out=")) != folder for word in words[1:]):
-        what, remedy = "is a sweep's folder, which is where it goes on", "Leave out= away, or give the sweep's name"
+        what, remedy = "is a sweep's folder, and the sweep resumes there", "Leave out= away, or give the sweep's name"
         raise InputError(what, where=str(folder), remedy=remedy)
     spec = read_spec(folder)
     changed = {word.partition("=")[0] for word in words[1:]}

@@ -238,7 +238,7 @@ class _Stop:
         """
         if not self.first.is_set():
             self.first.set()
-            self._progress.say("finishing the tasks in flight; again to drop them")
+            self._progress.say("finishing the tasks in flight; a second Ctrl-C drops them")
         elif not self.second.is_set():
             self.second.set()
             if self._waits:

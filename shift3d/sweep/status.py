@@ -186,7 +186,7 @@ def status_lines(status: SweepStatus) -> str:
     ]
     progress = status.progress
     if progress is None:
-        return "\n".join([*lines, "no driver has written a status here"])
+        return "\n".join([*lines, "no driver has written a status into this folder"])
     alive = _alive(status, progress)
     lines.append(f"driver {progress['driver']} on {progress['host']}: {alive}")
     if committed := progress.get("committed_unix_s"):
@@ -196,9 +196,9 @@ def status_lines(status: SweepStatus) -> str:
         eta = f", about {duration(status.left / rate)} left" if rate > 0 else ""
         lines.append(f"{rate:.3g} tasks a second on {counted(progress['workers'], 'worker')}{eta}")
         if progress.get("worker_peak_mb"):
-            lines.append(f"a worker takes up to {progress['worker_peak_mb']:.0f} MB")
+            lines.append(f"a worker uses up to {progress['worker_peak_mb']:.0f} MB")
         since = time.time() - progress["written_unix_s"]
-        lines += [f"  runs now: {what}, for {duration(seconds + since)}" for what, seconds in progress["running"]]
+        lines += [f"  running: {what}, for {duration(seconds + since)}" for what, seconds in progress["running"]]
         if (more := progress["running_calls"] - len(progress["running"])) > 0:
             lines.append(f"  and {counted(more, 'call')} more")
     lines += progress["left_out"]
@@ -224,10 +224,10 @@ def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
     # Another process may have the id after a reboot, or in a container that was restarted.
     began = _began(progress["pid"]) if here else None
     if here and (began is None or progress.get("pid_began", began) != began):
-        return "dead; the same command resumes"
+        return "dead; the command of the sweep resumes it"
     silent = time.time() - progress["written_unix_s"]
     if not here and silent > _SILENT_S:
-        return f"silent for {duration(silent)}; if it is dead, the same command resumes"
+        return f"silent for {duration(silent)}; if the driver is dead, the command of the sweep resumes it"
     return str(progress["state"])
 
 

@@ -130,10 +130,10 @@ def test_the_status_says_how_it_goes(drivers: Drivers) -> None:
     folder = str(drivers.folder / "out")
     code, output, errors = drivers.run_here(["sweep", "status", folder])
     assert code == 0, errors
-    assert "of 60 tasks done" in output and ": running" in output and "runs now: coupe/" in output
+    assert "of 60 tasks done" in output and ": running" in output and "running: coupe/" in output
     driver.kill()
     driver.wait()
-    assert ": dead; the same command resumes" in drivers.run_here(["sweep", "status", folder])[1]
+    assert ": dead; the command of the sweep resumes it" in drivers.run_here(["sweep", "status", folder])[1]
     assert drivers.run("out", "runner=local")[0] == 0
     output = drivers.run_here(["sweep", "status", folder])[1]
     assert "60 of 60 tasks done (100%), 0 quarantined, 0 left" in output and ": finished" in output

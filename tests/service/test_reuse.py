@@ -46,7 +46,7 @@ def test_only_new_tasks_run(drivers: Drivers, undisturbed_folder: Path, fresh: d
     before = {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
     code, output, errors = drivers.run("out", *GROW, f"reuse={source}", SHIFT3D_TEST_JOURNAL=str(journal))
     assert code == 0, errors
-    assert f"{SMALL} of {GROWN} tasks were done in {source}" in output
+    assert f"{SMALL} of {GROWN} tasks copied from {source}" in output
     assert len(ran(journal)) == GROWN - SMALL and not set(ran(journal)) & set(drivers.committed("small"))
     assert before == {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}, "it was only read"
     assert len(drivers.committed("out")) == GROWN and once(drivers.committed("out"))
@@ -86,7 +86,7 @@ def test_a_driver_that_is_run_again_takes_nothing_twice(
     assert drivers.run("out", *words)[0] == 0
     rows = rows_in(drivers.folder / "out", "scores")
     code, output, _ = drivers.run("out", *words)
-    assert code == 0 and "tasks were done in" not in output
+    assert code == 0 and "tasks copied from" not in output
     assert rows_in(drivers.folder / "out", "scores") == rows and once(drivers.committed("out"))
     assert drivers.final("out") == fresh
 
@@ -110,6 +110,6 @@ def test_the_plan_is_shown_with_what_is_left_and_nothing_runs(
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 7 and lines[0].startswith(f"sweep default: {GROWN} tasks (60 shape, 30 pose)")
     assert lines[2] == f"{SMALL} of {GROWN} tasks are done already"
-    assert lines[3].startswith(f"expected: {GROWN - SMALL} tasks of ") and "core-hours" in lines[3]
+    assert lines[3].startswith("expected run time: ") and f" core-hours, for {GROWN - SMALL} tasks of " in lines[3]
     assert f"{SMALL} tasks that ran in {undisturbed_folder}" in lines[4]
     assert not (tmp_path / "out").exists()

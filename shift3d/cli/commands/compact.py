@@ -9,9 +9,10 @@ from shift3d.cli.commands.gc import OUT, dry_run, sweep_and_follow_up_folders
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
-Merges the commit log of a sweep into one entry and its segments into one file a table, so that they are read fast.
-Results, final tables and the resuming of the sweep stay as they are. A driver that runs is stopped by it at its next
-commit; the sweep's command resumes it. Killed at any moment it leaves a folder that can be read: run it again."""
+Merges the commit log of a sweep into one entry and its segments into one file per table, so that commands read them
+faster. Results and final tables do not change, and the sweep still resumes. The command stops a running driver at the
+driver's next commit; the sweep's command resumes the sweep. A kill at any moment leaves a readable folder: run the
+command again."""
 
 _EPILOG = """\
 examples:
@@ -44,5 +45,11 @@ def _files(entries: int, segments: int) -> str:
 
 
 COMMAND = Command(
-    "compact", "merge a sweep's files into few", _DESCRIPTION, _EPILOG, _run, OUT, options=dry_run("merged", "merge")
+    "compact",
+    "merge the many files of a sweep into a few",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    OUT,
+    options=dry_run("merged", "merge"),
 )

@@ -10,10 +10,10 @@ from shift3d.errors import InputError
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
-How far does an effect move scores, and what does it cost? From the tables of a sweep that ran the same tasks
-without effects and with one of them at a time (make sweep SWEEP=effects). Prints the table, writes
-OUT/final/effects.html, and, with --adopt, what effects=auto goes by: an effect whose change of the score lies
-below the bound with 95 % confidence is left out from then on, and the plan says so."""
+Measures how far each effect moves scores and how long it takes, from the tables of a sweep that ran the same tasks
+without effects and with one effect at a time (make sweep SWEEP=effects). Prints the table and writes
+OUT/final/effects.html. --adopt also writes the numbers that effects=auto uses: effects=auto then leaves out an effect
+whose change of the score is below the bound with 95 % confidence, and the plan says so."""
 
 _EPILOG = """\
 examples:
@@ -24,9 +24,12 @@ examples:
 
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--times", metavar="FILE", type=Path, help='milliseconds from outputs/bench.json (make bench ARGS="-k effects")'
+        "--times",
+        metavar="FILE",
+        type=Path,
+        help='take the milliseconds from outputs/bench.json (make bench ARGS="-k effects")',
     )
-    parser.add_argument("--adopt", action="store_true", help="let effects=auto go by these numbers")
+    parser.add_argument("--adopt", action="store_true", help="make effects=auto use these numbers")
 
 
 def _measured(path: Path) -> dict[str, float]:
@@ -73,10 +76,10 @@ def _run(arguments: argparse.Namespace) -> int:
         if (fewest := min(impact.scenes for impact in impacts)) < LEAST_SCENES:
             what = f"{counted(fewest, 'scene')} behind an effect: intervals are too narrow below {LEAST_SCENES}"
             raise InputError(what, str(folder), f"Run the sweep with scenes.count={LEAST_SCENES} or more")
-        print(f"{write_impact(MEASURED_IMPACT, sweep, impacts)} written: effects=auto goes by it")
+        print(f"{write_impact(MEASURED_IMPACT, sweep, impacts)} written: effects=auto uses it")
     return 0
 
 
 COMMAND = Command(
-    "effects", "the measured impact of each effect", _DESCRIPTION, _EPILOG, _run, FINISHED_SWEEP_HELP, options=_options
+    "effects", "measure the impact of each effect", _DESCRIPTION, _EPILOG, _run, FINISHED_SWEEP_HELP, options=_options
 )

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 _KEYS = ("out", "decoder", "steps", *FRAME_KEYS)
 
 _DESCRIPTION = """\
-Finds the latent code that draws each mesh best, with the shipped decoder or decoder=FILE, and writes a vehicle
-set to out=: vehicles.safetensors, its decoder sdf.safetensors, sdf.json (what was repaired, and how many
-centimetres each code is off) and pictures/, each mesh beside what the decoder makes of it. Warns where another
-orientation of the mesh fits better, and where a vehicle is far from its mesh (exit code 3). The same command again
-resumes: DIR/kept holds every mesh that is fitted, and vehicles.safetensors is written last."""
+Finds the latent code whose decoded shape fits each mesh best, with the shipped decoder or decoder=FILE. Writes a
+vehicle set to out=: vehicles.safetensors, its decoder sdf.safetensors, sdf.json (the repairs, and the distance of each
+decoded shape from its mesh in centimetres) and pictures/ (each mesh beside its decoded shape). Warns if a mesh fits
+better in another orientation, and if a vehicle is far from its mesh (exit code 3). The same command resumes: DIR/kept
+holds every fitted mesh, and vehicles.safetensors is written last."""
 
 _EPILOG = f"""\
 examples:
@@ -34,7 +34,7 @@ examples:
   shift3d sweep smoke vehicle=set vehicle.folder=outputs/my-car vehicle.name=car
 
 {FRAME_TEXT}
-A decoder draws what it was trained on: shift3d train model=sdf vehicles=PATH trains one on your meshes."""
+A decoder draws only shapes like its training data: shift3d train model=sdf vehicles=PATH trains one on your meshes."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -66,14 +66,14 @@ def _doubts(fit: MeshFit, frame: MeshFrame, out: Path) -> list[str]:
         doubts.append(f"fits better with {words}: {100 * chamfer_m:.1f} cm")
     if fit.far:
         usual = f"{100 * fit.typical_chamfer_m:.1f} cm is usual for a car of this length"
-        why = "perhaps for its orientation" if fit.better else "the decoder cannot draw it"
+        why = "perhaps because of its orientation" if fit.better else "the decoder cannot draw it"
         doubts.append(f"far from its mesh ({usual}), {why}: see {out / fit.picture}")
     return doubts
 
 
 COMMAND = Command(
     "fit",
-    "vehicles from your own meshes",
+    "make vehicles from your own meshes",
     _DESCRIPTION,
     _EPILOG,
     _run,

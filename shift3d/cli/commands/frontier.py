@@ -31,29 +31,29 @@ _QUICK_REPEATS = 3
 
 _DESCRIPTION = """\
 Measures every setting of sweeps/accuracy_time.yaml on the same beams in one run: hits missed and misplaced, depth
-errors, gradient and final score against the preset `reference`, and milliseconds beside them. Writes
-frontier.parquet, report.html, frontier.png and advice.txt to outputs/frontier/ or out=DIR, prints table and advice.
+errors, errors of gradient and final score against the preset `reference`, and milliseconds. Writes frontier.parquet,
+report.html, frontier.png and advice.txt to outputs/frontier/ or out=DIR, and prints the table and the advice.
 
-The published way takes up to two minutes a rendering, the whole at most 15 minutes on two quiet cores.
-The same command again resumes: what is measured, by this code on this machine, is not measured again. One thread, and
-times are of this process: leave the machine to it."""
+The published method takes up to two minutes per rendering, the whole run at most 15 minutes on two idle cores.
+The same command resumes: it skips what the same code measured on the same machine. The command uses one thread and
+measures the times of its own process: run nothing else on the machine."""
 
 _EPILOG = """\
 examples:
   shift3d frontier                                    everything, on procedural streets
-  shift3d frontier kitti=PATH                         on real frames as well (twice the time); PATH holds training/
+  shift3d frontier kitti=PATH                         also on real frames (twice the time); PATH holds training/
   shift3d frontier scenes=kitti scenes.root=PATH out=runs/frontier-kitti
   shift3d frontier --quick                            three minutes: one far vehicle, eleven settings, up to 3 times
-  shift3d frontier --only 'standard|draft'            these settings alone; no ratio to paper without paper
+  shift3d frontier --only 'standard|draft'            only these settings; no ratio to paper without paper
   shift3d frontier 'frontier.cases=[{vehicle:suv,range_m:20}]' frontier.repeats=15 --again
 
   python -c "import pandas; print(pandas.read_parquet('outputs/frontier/frontier.parquet'))\""""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--only", metavar="REGEX", help="only settings whose name it is found in")
-    parser.add_argument("--quick", action="store_true", help="a few settings on one case (frontier.quick)")
-    parser.add_argument("--again", action="store_true", help="forget what was measured here, but for the truth")
+    parser.add_argument("--only", metavar="REGEX", help="measure only settings whose name matches")
+    parser.add_argument("--quick", action="store_true", help="measure a few settings (frontier.quick) on one case")
+    parser.add_argument("--again", action="store_true", help="measure everything again, except the ground truth")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -90,7 +90,7 @@ def _config(words: list[str]) -> FrontierSweepConfig:
     composed = compose_sweep(_NAME, words)
     if composed.axes:
         what = f"{composed.axes[0].key} has several values"
-        raise InputError(what, f"sweep {_NAME}", "Give it one; what is compared are frontier.settings")
+        raise InputError(what, f"sweep {_NAME}", "Give it one value: the command compares frontier.settings")
     return validate_frontier(composed.base, f"sweep {_NAME}")
 
 
@@ -214,7 +214,7 @@ def _measure(config: FrontierSweepConfig, plan: FrontierPlan, folder: Path, agai
     cases = len(plan.cases) * len(groups)
     expected_s = plan.expected_seconds(len(groups))
     what = f"{counted(len(plan.settings), 'setting')} on {counted(cases, 'case')}"
-    print(f"{what}, about {round(expected_s / 60)} min on a quiet core without bfloat16")
+    print(f"{what}, about {round(expected_s / 60)} min on an idle core without bfloat16")
     print(f"writing to {folder}", flush=True)
     # The bar counts expected seconds: one measurement takes a second to minutes.
     shown = "{percentage:3.0f} %|{bar}| {elapsed}<{remaining}{postfix}"
@@ -229,7 +229,7 @@ def _measure(config: FrontierSweepConfig, plan: FrontierPlan, folder: Path, agai
 
         measured = measure_frontier(groups, plan, folder, again, tell)
     if undecided := sum(case.undecided for case in measured):
-        print(f"warning: the reference could not decide {undecided} beams: what they hit is not known", file=sys.stderr)
+        print(f"warning: the reference could not decide {undecided} beams: their hits are unknown", file=sys.stderr)
     rows = frontier_rows(plan.settings, measured)
     write_table(folder / "frontier.parquet", frontier_table(rows, machine()))
     print(f"\n{write_frontier_report(folder)}\n\n{folder / 'report.html'}, frontier.parquet, frontier.png, advice.txt")
@@ -237,11 +237,11 @@ def _measure(config: FrontierSweepConfig, plan: FrontierPlan, folder: Path, agai
 
 COMMAND = Command(
     "frontier",
-    "measure what accuracy costs in time",
+    "measure accuracy against run time",
     _DESCRIPTION,
     _EPILOG,
     _run,
-    words="overrides, kitti=PATH, and out=DIR for the folder to write to",
+    words="overrides, kitti=PATH, and out=DIR (output folder)",
     complete=key_words(("kitti",), more=overrides),
     options=_options,
     resumes=True,

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from shift3d.store.location import Location
 
 _DESCRIPTION = """\
-Removes from a sweep's folder (or s3://, gs://) what killed drivers left: segments that the commit log does not name,
-log entries that a compaction replaced, and temporary files. Safe while the sweep runs: files of the driver that may be
-running are never touched. Files that shift3d did not write stay, and are named."""
+Removes the files that killed drivers left in a sweep's folder (or s3://, gs://): segments that the commit log does not
+name, log entries that a compaction replaced, and temporary files. Safe while the sweep runs: the command never touches
+files of the driver that may be running. It keeps and lists files that shift3d did not write."""
 
 _EPILOG = """\
 examples:
-  shift3d gc outputs/default-1a2b3c4d5e6f7a8b --dry-run    what would be removed
+  shift3d gc outputs/default-1a2b3c4d5e6f7a8b --dry-run    show what would be removed
   shift3d gc outputs/default-1a2b3c4d5e6f7a8b
   shift3d gc s3://bucket/runs/kitti"""
 _SHOWN = 20
@@ -29,7 +29,7 @@ OUT = "output folder of a sweep, or its URL"
 def dry_run(done: str, do: str) -> Callable[[argparse.ArgumentParser], object]:
     """Return a function that adds the option --dry-run. done, do: participle and infinitive of the command's verb."""
     return lambda parser: parser.add_argument(
-        "--dry-run", action="store_true", help=f"say what would be {done}, and {do} nothing"
+        "--dry-run", action="store_true", help=f"show what would be {done}, and {do} nothing"
     )
 
 
@@ -61,12 +61,18 @@ def _run(arguments: argparse.Namespace) -> int:
         if len(garbage.files) > _SHOWN:
             print(f"  and {len(garbage.files) - _SHOWN} more")
         for name in garbage.unknown[:_SHOWN]:
-            print(f"  left alone, not written by shift3d: {folder / 'data' / name}")
+            print(f"  kept, not written by shift3d: {folder / 'data' / name}")
         if not arguments.dry_run:
             collect(garbage)
     return 0
 
 
 COMMAND = Command(
-    "gc", "remove what killed drivers left", _DESCRIPTION, _EPILOG, _run, OUT, options=dry_run("removed", "remove")
+    "gc",
+    "remove the files that killed drivers left",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    OUT,
+    options=dry_run("removed", "remove"),
 )

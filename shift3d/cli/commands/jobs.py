@@ -11,15 +11,15 @@ from shift3d.errors import InputError
 from shift3d.settings.folders import files, searched_folders_text, shown
 
 _DESCRIPTION = """\
-Lists the launch specs: how a sweep is started on this machine, a Ray cluster, Kubernetes, Slurm or AWS. NAME prints one
-of them; its first lines say how it is used. Those of a folder jobs/ where the command runs come first."""
+Lists the launch specs: files that start a sweep on this machine, a Ray cluster, Kubernetes, Slurm or AWS, or a gate in
+CI. NAME prints one of them; its first lines explain its use. Launch specs in jobs/ of the current folder come first."""
 
 _EPILOG = """\
 examples:
-  shift3d jobs                              what there is, and where it lies
+  shift3d jobs                              the launch specs and their paths
   shift3d jobs kuberay > kuberay.yaml       a copy to fill in
   shift3d jobs slurm > slurm.sbatch && sbatch --nodes=4 slurm.sbatch default out=/shared/FOLDER tracking=none
-  shift3d sweep default job=ray_cluster     local, ray_cluster and ray_job are taken by their names"""
+  shift3d sweep default job=ray_cluster     job= accepts local, ray_cluster and ray_job by name"""
 
 
 def _names(prefix: str = "", **_: Any) -> list[str]:
@@ -27,7 +27,7 @@ def _names(prefix: str = "", **_: Any) -> list[str]:
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    name = parser.add_argument("name", nargs="?", metavar="NAME", help="print this one")
+    name = parser.add_argument("name", nargs="?", metavar="NAME", help="launch spec to print")
     name.completer = _names  # type: ignore[attr-defined]
 
 

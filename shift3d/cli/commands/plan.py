@@ -17,15 +17,16 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.plan import Plan
 
 _DESCRIPTION = """\
-Says how many tasks a sweep has; which effects their scenes call for, with what each costs; how long it would take;
-with --tasks, every task in order with its id; with --places, in which scenes a car finds a place, and what refuses the
-others. Runs nothing. The same as: shift3d sweep plan.
+Prints the number of tasks of a sweep, the effects that its scenes need with the cost of each, and the expected run
+time. --tasks lists every task in order with its id. --places counts the places for a car in each scene, and the reasons
+against the other places. Runs nothing. The same as: shift3d sweep plan.
 
-The time a task takes is that of the sweep's own folder as far as it has run, or of timings=OUT; else the figures that
-ship. What the folder has done already, or that of reuse=OUT, is not counted.
+The expected time of a task comes from the tasks that ran in timings=OUT, else in the sweep's own folder, else in
+reuse=OUT; without any of these, from the shipped times. Tasks that the sweep's folder or reuse=OUT holds as
+done do not count.
 
-Ids and the name of the folder depend on what the scenes hold. Where many streets would have to be made for them alone,
-the plan leaves them out; --tasks, reuse= and the sweep itself make the streets, and remember what they found."""
+Task ids and the folder's name depend on the content of the scenes. If the plan would have to generate many streets for
+these alone, it leaves them out; --tasks, reuse= and the sweep itself generate the streets and cache the result."""
 
 _EPILOG = """\
 examples:
@@ -35,8 +36,8 @@ examples:
 
 def add_tasks(parser: argparse.ArgumentParser, when: str = "") -> None:
     """Add the options that list tasks and places. when: prefix of their help texts."""
-    parser.add_argument("--tasks", action="store_true", help=f"{when}list every task, with its id")
-    parser.add_argument("--places", action="store_true", help=f"{when}count the places of each scene, up to 20 scenes")
+    parser.add_argument("--tasks", action="store_true", help=f"{when}list every task with its id")
+    parser.add_argument("--places", action="store_true", help=f"{when}count the places for a car in up to 20 scenes")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -73,14 +74,14 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
     if folder:
         check_folder(folder, plan)
     print(run_time_lines(plan, folder, request.reuse, timings, config.runner))
-    unnamed = f"outputs/{plan.sweep}-HASH, by what its scenes hold: --tasks makes them and names it"
+    unnamed = f"outputs/{plan.sweep}-HASH; the hash depends on the scenes: --tasks generates them and prints it"
     print(f"would write to {folder or unnamed}")
     for line in plan_lines(plan) if tasks else ():
         print(line)
     if places:
         show_places(plan, config)
     if not tasks:
-        print("every task with its id: --tasks")
+        print("to list every task with its id: --tasks")
     return 0
 
 
@@ -92,7 +93,7 @@ def show_places(plan: Plan, config: Config, most: int = 20) -> None:
     scenes, where = scene_set(config.scenes), plan.tasks[0].spec.placement
     known = set(scenes.names())  # an axis may hold several scene sets
     names = [name for _, name in plan.tasks.scenes() if name in known]
-    print(f"places for a car, {counted(where.attempts, 'draw')} a scene:")
+    print(f"places for a car, {counted(where.attempts, 'draw')} per scene:")
     for line in place_lines(scenes, names, where, most):
         print(line, flush=True)
     if others := len(plan.tasks.scenes()) - len(names):

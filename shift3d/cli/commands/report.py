@@ -7,24 +7,29 @@ import argparse
 from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 
 _DESCRIPTION = """\
-Writes OUT/report.html, one page that needs nothing but itself: the result in short, the hard cases in 3D, 50 solutions
-drawn at random over all tasks, AUC with bootstrap intervals beside the paper's, threshold-recall curves with bands,
-where in the bird's-eye view the score falls, paired tests, stability, accuracy against time, effects, what was run and
-at what cost, and what failed."""
+Writes OUT/report.html, one self-contained page: the result in short, the hard cases in 3D, 50 solutions drawn at random
+over all tasks, AUC with bootstrap intervals beside the paper's, threshold-recall curves with bands, the places in the
+bird's-eye view where the score falls, paired tests, stability, accuracy against run time, effects, and the settings,
+cost and failures of the run."""
 
 _EPILOG = """\
 examples:
   shift3d report outputs/default-1a2b3c4d5e6f7a8b
   shift3d report outputs/default-1a2b3c4d5e6f7a8b --cases 8
 
-Hard cases are rendered again and random ones drawn, which takes about a minute. Run shift3d verify before for the
-part on stability."""
+The command renders the hard cases again and draws the random ones, which takes about a minute. Run shift3d verify first
+for the section on stability."""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
     # A browser draws about 16 views in 3D at once, and each case has two.
     parser.add_argument(
-        "--cases", metavar="N", type=int, choices=range(1, 9), default=4, help="hard cases to show (default 4)"
+        "--cases",
+        metavar="N",
+        type=int,
+        choices=range(1, 9),
+        default=4,
+        help="number of hard cases to show (default 4)",
     )
 
 
@@ -39,5 +44,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 COMMAND = Command(
-    "report", "write a finished sweep's page", _DESCRIPTION, _EPILOG, _run, FINISHED_SWEEP_HELP, options=_options
+    "report",
+    "write the report page of a finished sweep",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    FINISHED_SWEEP_HELP,
+    options=_options,
 )

@@ -19,11 +19,11 @@ _WORDS = ("scene=", "scenes=", "scenes.", "attack.placement.")
 _SWEEP = "retrieval"  # of the scene settings this sweep sets the group alone: conf/scenes gives the other defaults
 
 _DESCRIPTION = """\
-list prints the names of the scenes that settings describe; show prints what was found in one of them (scene=NAME,
-else the first), counts the places where a car could stand and why it could not elsewhere, and draws the scene from
-above and at an angle, with its labels and those places, into out=FILE.png.
+list prints the names of the scenes that the settings select. show describes one of them (scene=NAME, else the first),
+counts the places for a car and the reasons against other places, and draws the scene from above and at an angle, with
+its labels and these places, into out=FILE.png.
 
-The words are those of a sweep, so that what works here works there: scenes=waymo|argoverse2|nuscenes|openpcdet|
+The words are those of a sweep, so that settings that work here work there: scenes=waymo|argoverse2|nuscenes|openpcdet|
 kitti|street, scenes.root=PATH, the other settings of the data set, and attack.placement.* (docs/guides/scenes.md)."""
 
 _EPILOG = """\
@@ -45,7 +45,7 @@ def scenes_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_
 def _run(arguments: argparse.Namespace) -> int:
     action, *words = arguments.words or [""]
     if action not in _ACTIONS:
-        what = f"cannot read {action!r}" if action else "nothing is asked for"
+        what = f"cannot read {action!r}" if action else "no action is given"
         raise InputError(what, "scenes", f"Give one of: {', '.join(_ACTIONS)}")
     out, settings = pop_values("out", words)
     config = _config(settings)
@@ -67,7 +67,9 @@ def _config(words: Sequence[str]) -> Config:
     composed = compose_sweep(_SWEEP, ["scenes=street", *words], own=False)
     for axis in composed.axes:
         if axis.key.startswith("scene") or axis.key.startswith("attack.placement"):
-            raise InputError(f"{axis.key} has several values", "scenes", "Give it one; lists stand in brackets: [a,b]")
+            raise InputError(
+                f"{axis.key} has several values", "scenes", "Give it one value; lists are in brackets: [a,b]"
+            )
     return validate(composed.base, "scenes")
 
 
@@ -108,7 +110,7 @@ def _show(config: Config, out: str | None) -> int:
     if places.lacks_ground:
         print(f"{'':<22}{NO_GROUND}")
     if scene.conditions.weather != "dry" and not scene.conditions.weather_in_points:
-        print(f"{'weather:':<22}a sweep simulates it; places and picture are those of a clear day")
+        print(f"{'weather:':<22}a sweep simulates it; places and picture are those of clear weather")
     if path is not None:
         from shift3d.scenes.picture import save_picture
 
@@ -120,7 +122,7 @@ def _show(config: Config, out: str | None) -> int:
 
 COMMAND = Command(
     "scenes",
-    "what a data set holds",
+    "list the scenes of a data set, or show one",
     _DESCRIPTION,
     _EPILOG,
     _run,

@@ -26,45 +26,45 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = """\
 Runs the sweep NAME (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
-or gs://BUCKET/PREFIX: workers then need no common folder.
-The same command again resumes: what is done is not run again.
+or gs://BUCKET/PREFIX: workers then need no shared folder.
+The same command resumes: finished tasks do not run again.
 
-An override changes a setting (conf/ has them all) or picks an option of a group; several values
-separated by commas are an axis: a task for each.
+An override changes a setting (conf/ lists all settings) or selects an option of a group. Several values
+separated by commas are an axis: the sweep runs every task with each value.
 
-NAME is sweeps/NAME.yaml of the folder where the command runs, else of those that ship with shift3d. An option of a
-group, vehicle=NAME, is conf/vehicle/NAME.yaml, job=NAME is jobs/NAME.yaml, found likewise: your own file comes first,
-and takes the place of one of its name that ships. A sweep of your own begins with `defaults: [/config, _self_]`, or
-with a sweep that ships in the place of /config."""
+NAME is the file sweeps/NAME.yaml, an option vehicle=NAME of a group is conf/vehicle/NAME.yaml, and job=NAME is
+jobs/NAME.yaml. shift3d looks in the current folder first, then among its shipped files: your own file replaces a
+shipped file of the same name. A sweep of your own begins with `defaults: [/config, _self_]`, or with a shipped sweep in
+place of /config."""
 
 _EPILOG = """\
 examples:
   shift3d sweep                                  5 vehicles x 4 streets x (shape, pose)
   shift3d sweep default scenes.count=20          more streets
   shift3d sweep default vehicle=suv mode=shape attack.lambda=0.1,1,10
-  shift3d sweep default accuracy=draft,standard  one axis more
-  shift3d sweep default detector=sst             attack SST, and let PointPillars score what it found
+  shift3d sweep default accuracy=draft,standard  one more axis
+  shift3d sweep default detector=sst             attack SST; PointPillars scores the solutions as well
   shift3d sweep kitti scenes.root=PATH out=runs/kitti
-  shift3d sweep kitti scenes.root=PATH scenes.skip_bad=true      without the frames that cannot be read
+  shift3d sweep kitti scenes.root=PATH scenes.skip_bad=true      skip the frames that cannot be read
   shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
   shift3d sweep default out=s3://bucket/runs/a runner.address=auto
-  shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder
-  shift3d sweep default job=ray_cluster out=s3://BUCKET/FOLDER  on a cluster, see jobs/
-  shift3d sweep plan default scenes.count=20     what would run, how long and at what cost; runs nothing
-  shift3d sweep default scenes.count=20 reuse=outputs/default-1a2b3c4d   a grown grid runs what is new in it
-  shift3d sweep status outputs/default-1a2b3c4d  how it is going, from any shell or machine
-  shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also its quarantined tasks"""
+  shift3d sweep smoke runner=local tracking=none run in this process, write nothing but the folder
+  shift3d sweep default job=ray_cluster out=s3://BUCKET/FOLDER  run on a cluster, see shift3d jobs
+  shift3d sweep plan default scenes.count=20     show tasks, run time and core-hours; run nothing
+  shift3d sweep default scenes.count=20 reuse=outputs/default-1a2b3c4d   of a larger grid, run only the new tasks
+  shift3d sweep status outputs/default-1a2b3c4d  show the progress, from any shell or machine
+  shift3d sweep outputs/default-1a2b3c4d         resume it; --retry-quarantined also runs its quarantined tasks again"""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing, as: sweep plan")
+    parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing, like: sweep plan")
     add_tasks(parser, "with plan or --dry-run: ")
     parser.add_argument("--retry-quarantined", action="store_true", help="run quarantined tasks again")
-    help_text = "take over what another sweep's folder has done of the same tasks; also reuse=OUT"
+    help_text = "copy the results of the same tasks from another sweep's folder; also reuse=OUT"
     reuse = parser.add_argument("--reuse", metavar="OUT", action="append", default=[], help=help_text)
     reuse.completer = folder_words  # type: ignore[attr-defined]
     parser.add_argument(
-        "--task", metavar="ID", help="run this one task here, show its rows or its traceback, write nothing"
+        "--task", metavar="ID", help="run only this task, in this process; print its rows or traceback, write nothing"
     )
 
 
@@ -93,10 +93,10 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     words = [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)]
     if words[:1] == ["plan"] or arguments.dry_run:
         if arguments.task or arguments.retry_quarantined:
-            raise InputError("--task and --retry-quarantined run something", remedy="Leave plan out")
+            raise InputError("--task and --retry-quarantined run tasks, a plan runs none", remedy="Leave plan out")
         return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks, arguments.places)
     if arguments.tasks or arguments.places:
-        raise InputError("--tasks and --places are of a plan", remedy="Ask for one: shift3d sweep plan NAME --tasks")
+        raise InputError("--tasks and --places belong to a plan", remedy="Ask for one: shift3d sweep plan NAME --tasks")
     request = read_words(words)
     if request.job and request.job.address and not arguments.task:
         return _submit(request, request.job.address, arguments.retry_quarantined)
@@ -117,7 +117,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     )
     if result.reused:
         others = ", ".join(map(str, request.reuse))
-        print(f"{result.reused} of {counted(result.planned, 'task')} were done in {others}")
+        print(f"{result.reused} of {counted(result.planned, 'task')} copied from {others}")
     elif result.final is not None and not result.ran:
         print("nothing is left to run: these are the stored results")
     if result.final is None:
@@ -185,7 +185,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     elif sweep.verification is not None:
         print(f"\n{stability_lines(sweep.verification)}\n")
     else:
-        print(f"are its hard cases hard, or rounding? shift3d verify {result.folder}")
+        print(f"to check the hard cases for rounding errors: shift3d verify {result.folder}")
     _mirror(plan, config, result)
     return unplaced is None
 
@@ -231,7 +231,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
 
 COMMAND = Command(
     "sweep",
-    "run a sweep, or resume it",
+    "run or resume a sweep",
     _DESCRIPTION,
     _EPILOG,
     _run,

@@ -13,8 +13,8 @@ _DEFAULT_URI = "sqlite:///mlflow.db"
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--uri", default=_DEFAULT_URI, help="the store that sweeps write to (%(default)s)")
-    parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (%(default)s); 0: any free one")
+    parser.add_argument("--uri", default=_DEFAULT_URI, help="MLflow store that sweeps write to (%(default)s)")
+    parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (%(default)s); 0: any free port")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -26,7 +26,7 @@ def _run(arguments: argparse.Namespace) -> int:
         raise InputError("there is no run yet", where=arguments.uri, remedy="Run a sweep first: shift3d sweep")
     with open_port(arguments.port) as listening:
         port = listening.getsockname()[1]
-        print(f"MLflow on http://{HOST}:{port}, in some seconds (Ctrl-C ends it)", flush=True)
+        print(f"MLflow on http://{HOST}:{port}, ready in a few seconds (Ctrl-C stops it)", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
             serve(arguments.uri, listening)
     return 0

@@ -96,8 +96,8 @@ def _choices(config: Config, facts: SceneFacts, detector: DetectorFacts) -> dict
 def effect_table(decisions: Sequence[Decision], scenes: int) -> str:
     """Return the plan's table: effect, scenes that need it, expected cost, reason; one line if there are no effects."""
     if not decisions:
-        return "effects: occlusion alone; no scene calls for more"
-    head = ("effect", "scenes", "ms a rendering", "why (of the first scene)")
+        return "effects: occlusion only; no scene needs another"
+    head = ("effect", "scenes", "ms a rendering", "reason (in the first scene)")
     rows = [
         (
             choice.effect if choice.used else f"({choice.effect})",
@@ -108,7 +108,7 @@ def effect_table(decisions: Sequence[Decision], scenes: int) -> str:
         for choice, names in decisions
     ]
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(3)]
-    text = ["effects beside occlusion; in brackets: left out"]
+    text = ["effects besides occlusion; in brackets: left out"]
     text += [
         "  " + "  ".join(f"{row[column]:<{widths[column]}}" for column in range(3)) + f"  {row[3]}"
         for row in [head, *rows]

@@ -35,15 +35,13 @@ def merged_lines(tasks: Tasks) -> list[str]:
     values; and on scenes that no column separates."""
     mixed = merged_settings(tasks, of_a_data_set=True)
     by_dataset = [name for name in merged_settings(tasks) if name not in mixed]
-    lines = [(mixed, "no column tells"), (by_dataset, "the column dataset tells")]
-    found = [
-        f"AUCs are means over {' and '.join(names)}: {which} their values apart" for names, which in lines if names
-    ]
+    lines = [(mixed, "no table column separates"), (by_dataset, "the column dataset separates")]
+    found = [f"AUCs average over {' and '.join(names)}: {which} their values" for names, which in lines if names]
     if alike := tasks.ambiguous_scenes():
         first = ", ".join(f"{dataset}/{scene}" for dataset, scene in alike[:3])
         found.append(
-            f"{counted(len(alike), 'name')} of a scene, as {first}, {'stands' if len(alike) == 1 else 'stand'} for "
-            "several frames: tables, intervals and counts of scenes take them for one. Give frames names of their own"
+            f"{counted(len(alike), 'scene name')} (e.g. {first}) {'refers' if len(alike) == 1 else 'refer'} to several "
+            "frames: tables, intervals and scene counts treat these frames as one scene. Give each frame its own name"
         )
     return found
 
@@ -52,7 +50,7 @@ def skipped_lines(plan: Plan) -> list[str]:
     """Return lines on the unreadable scenes that are left out, with reasons."""
     if not plan.skipped:
         return []
-    lines = [f"{counted(len(plan.skipped), 'scene')} left out that cannot be read (scenes.skip_bad):"]
+    lines = [f"{counted(len(plan.skipped), 'scene')} left out as unreadable (scenes.skip_bad):"]
     lines += [f"  {name}: {why}" for name, why in list(plan.skipped.items())[:_SHOWN]]
     more = len(plan.skipped) - _SHOWN
     return lines if more <= 0 else [*lines, f"  and {more} more, in final/skipped_scenes.parquet"]

@@ -58,7 +58,7 @@ def test_where_shapes_may_go_makes_no_further_task_of_a_pose() -> None:
 def test_settings_that_no_column_tells_apart_are_named() -> None:
     plan = make_plan(compose_sweep("default", ["vehicle=suv", "attack.steps=5,40"]), valid_sweeps.catalogue)[0]
     assert merged_settings(plan.tasks) == ["attack.steps"]
-    assert "AUCs are means over attack.steps: no column tells their values apart" in plan_summary(plan)
+    assert "AUCs average over attack.steps: no table column separates their values" in plan_summary(plan)
     fog = ["vehicle=suv", "effects=fog", "effects.visibility_m=50,100"]
     assert merged_settings(make_plan(compose_sweep("default", fog), valid_sweeps.catalogue)[0].tasks) == [
         "effects.visibility_m"
@@ -83,9 +83,8 @@ def test_frames_of_one_name_are_said_and_make_no_pool() -> None:
     plan = make_plan(compose_sweep("default", words), two_folders)[0]
     names = [("street-hdl64", name) for name in valid_sweeps.SCENES]
     assert plan.tasks.ambiguous_scenes() == names
-    assert "2 names of a scene, as street-hdl64/north, street-hdl64/south, stand for several frames" in plan_summary(
-        plan
-    )
+    line = "2 scene names (e.g. street-hdl64/north, street-hdl64/south) refer to several frames"
+    assert line in plan_summary(plan)
     with pytest.raises(InputError, match="two scenes of street-hdl64 are called north"):
         pool_plan(plan)
     alone = make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0]
@@ -96,7 +95,7 @@ def test_the_list_of_tasks_says_what_no_column_tells() -> None:
     words = ["vehicle=suv", "mode=shape", "attack.selection_window=0,1", "attack.search=descent,random"]
     plan = make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0]
     assert len(set(plan.tasks.ids.to_pylist())) == len(plan.tasks) == 4 * len(valid_sweeps.SCENES)
-    assert "AUCs are means over attack.selection_window: no column tells" in plan_summary(plan)
+    assert "AUCs average over attack.selection_window: no table column" in plan_summary(plan)
     lines = [line.split("  ", 1)[1] for line in plan_lines(plan)]
     assert len(set(lines)) == len(lines), "each line differs in more than its id"
     assert lines[0].endswith("descent  attack.selection_window=0") and lines[-1].endswith(

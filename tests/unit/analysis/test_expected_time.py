@@ -189,7 +189,7 @@ def test_what_is_done_is_not_counted(tmp_path: Path) -> None:
     folder = ran(tmp_path / "earlier", north, 36.0)
     lines = run_time_lines(both, tmp_path / "out", [folder], [], ray(workers=4)).splitlines()
     assert lines[0] == "1 of 2 tasks are done already"
-    assert lines[1] == "expected: 1 task of 36 s: 36 s with 4 workers (runner.workers=N), 0.01 core-hours"
+    assert lines[1] == "expected run time: 36 s with 4 workers (runner.workers=N), 0.01 core-hours, for 1 task of 36 s"
     assert run_time_lines(north, folder, [], [], ray(workers=1)).endswith("nothing is left to run")
 
 
@@ -199,12 +199,12 @@ def test_what_was_given_up_on_is_not_counted_but_said(tmp_path: Path) -> None:
     CommitLog(out, both.spec_hash).commit((), (both.tasks[0].spec.task_id,), {})
     lines = run_time_lines(both, out, [], [], ray(workers=1)).splitlines()
     assert lines[0] == "1 quarantined task stays out: --retry-quarantined runs it again"
-    assert lines[1].startswith("expected: 1 task of ")
+    assert ", for 1 task of " in lines[1]
 
 
 def test_a_folder_that_has_run_nothing_says_nothing(tmp_path: Path) -> None:
     open_folder(tmp_path / "out", plan())
-    assert "the figures that ship" in run_time_lines(plan(), tmp_path / "out", [], [], ray(workers=2))
+    assert "the shipped times" in run_time_lines(plan(), tmp_path / "out", [], [], ray(workers=2))
     with pytest.raises(InputError, match="is not the output folder of a sweep"):
         run_time_lines(plan(), tmp_path / "out", [], [tmp_path / "none"], ray(workers=2))
     write_sweep(tmp_path / "finished")
@@ -219,7 +219,7 @@ def test_a_time_limit_below_twice_the_slowest_task_is_reported_with_one_that_sui
     assert expected(both.tasks, []).longest_s == max(shape, pose)
     earlier = ran(tmp_path / "earlier", plan_of("mode=shape,pose", "scene=north"), 1000.0)
     *_, line = run_time_lines(both, None, [], [earlier], limit).splitlines()
-    assert line.startswith("a task is expected to take 16.7 min; one that takes more than 30 min is ended")
+    assert line.startswith("a task is expected to take 16.7 min; the driver stops a task after 30 min")
     assert line.endswith("(runner.task_timeout_s=1800): give runner.task_timeout_s=4020")
     assert limit_line(900.0, limit) == limit_line(1e9, ray(task_timeout_s=None)) == ""  # type: ignore[arg-type]
     local = LocalRunnerConfig(kind="local", commit_seconds=2.0, abort_after=None, abort_share=None)

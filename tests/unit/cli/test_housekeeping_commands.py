@@ -51,7 +51,7 @@ def test_gc_says_what_it_does(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert main(["gc", str(folder), "--dry-run"]) == 0
     printed = capsys.readouterr().out
     assert "1 segment that no log entry names" in printed and "would be removed" in printed and str(orphan) in printed
-    assert "left alone, not written by shift3d" in printed and files(folder) == before
+    assert "kept, not written by shift3d" in printed and files(folder) == before
     assert main(["gc", str(folder)]) == 0
     assert before.keys() - files(folder).keys() == {str(orphan)}
 

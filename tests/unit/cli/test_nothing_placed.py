@@ -42,7 +42,7 @@ def test_nothing_fitted_is_said_first(
     first = printed.strip().splitlines()[0]
     assert first.startswith("no vehicle found a place") and "attack.placement.min_object_points" in first
     assert "verify" not in printed and "AUC" not in printed and "0 of 1 task scored" in printed
-    assert "places for a car, 1 draw a scene:\n  street-test-hdl64-000000: 0 of 1 free; " in printed
+    assert "places for a car, 1 draw per scene:\n  street-test-hdl64-000000: 0 of 1 free; " in printed
     assert main(["report", "out"]) == 0
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.index("no vehicle found a place") < page.index("<table")

@@ -114,7 +114,7 @@ def test_other_commands_say_it_before_they_work(
     ids=lambda words: words[0],
 )
 def test_a_bucket_is_no_path_of_this_machine(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert "s3://bucket/x" in (line := refused(words, capsys)) and "no path of this machine" in line
+    assert "s3://bucket/x" in (line := refused(words, capsys)) and "is no local path" in line
 
 
 def test_another_option_of_a_group_drops_the_settings_of_the_former_option(tmp_path: Path) -> None:

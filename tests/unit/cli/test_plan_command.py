@@ -26,7 +26,7 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_summary_comes_first_and_the_list_is_folded(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", "plan", "default", "scenes.count=2", *ONE]) == 0
     folded = capsys.readouterr().out.splitlines()
-    assert folded[0].startswith("sweep default: 2 tasks") and folded[-1] == "every task with its id: --tasks"
+    assert folded[0].startswith("sweep default: 2 tasks") and folded[-1] == "to list every task with its id: --tasks"
     assert main(["plan", "default", "scenes.count=2", *ONE, "--tasks"]) == 0
     listed = capsys.readouterr().out.splitlines()
     assert listed[: len(folded) - 1] == folded[:-1]
@@ -44,7 +44,7 @@ def test_time_is_that_of_the_cpus_that_this_process_may_use(
 def test_places_of_each_scene_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "default", "scenes.count=2", *ONE, "--places", "attack.placement.attempts=20"]) == 0
     printed = capsys.readouterr().out
-    assert "places for a car, 20 draws a scene:" in printed
+    assert "places for a car, 20 draws per scene:" in printed
     for name in StreetScenes("mixed", count=2).names():
         assert f"  {name}: " in printed
     assert printed.count(" of 20 free; ") == 2
@@ -54,8 +54,8 @@ def test_weathers_that_are_printed_together_have_data_sets_of_their_own(capsys: 
     words = ["vehicle=suv", "mode=pose", "scenes.count=2", "scenes.sensor=hdl64"]
     assert main(["plan", "default", *words, "scenes.weather=rain,fog", "attack.steps=5,10"]) == 0
     printed = capsys.readouterr().out
-    assert "AUCs are means over attack.steps: no column tells their values apart" in printed
-    assert "AUCs are means over scenes.weather: the column dataset tells their values apart" in printed
+    assert "AUCs average over attack.steps: no table column separates their values" in printed
+    assert "AUCs average over scenes.weather: the column dataset separates their values" in printed
 
 
 def test_named_frames_that_the_count_leaves_out_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

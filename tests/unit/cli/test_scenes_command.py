@@ -53,7 +53,7 @@ def test_show_says_what_was_found_and_draws_it(log: list[str], capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ([], "nothing is asked for. Give one of: list, show"),
+        ([], "no action is given. Give one of: list, show"),
         (["draw"], "Give one of: list, show"),
         (["list", "scenes=argoverse2"], "scenes.root is required"),
         (["list", "scenes=argoverse", "scenes.root=val"], "Did you mean 'argoverse2'"),

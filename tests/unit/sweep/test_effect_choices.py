@@ -37,7 +37,7 @@ def plan_of(*overrides: str, of=catalogue) -> Plan:  # type: ignore[no-untyped-d
 def test_auto_on_dry_scenes_asks_for_the_same_tasks_as_none() -> None:
     auto, none = plan_of(), plan_of("effects=none")
     assert [task.spec for task in auto.tasks] == [task.spec for task in none.tasks]
-    assert auto.effects == () and effect_table(auto.effects, 2) == "effects: occlusion alone; no scene calls for more"
+    assert auto.effects == () and effect_table(auto.effects, 2) == "effects: occlusion only; no scene needs another"
 
 
 def test_auto_takes_what_one_scene_calls_for_there_and_nowhere_else() -> None:

@@ -210,6 +210,6 @@ def test_damaged_folders_are_named(out: Path, suv_plan: Plan) -> None:
 def test_in_words(suv_plan: Plan) -> None:
     counts, effects = plan_summary(suv_plan).splitlines()
     assert counts == "sweep default: 6 tasks (4 shape, 2 pose) of 1 vehicle in 2 scenes"
-    assert effects == "effects: occlusion alone; no scene calls for more"
+    assert effects == "effects: occlusion only; no scene needs another"
     lines = list(plan_lines(suv_plan))
     assert len(lines) == 6 and "lambda 10" in lines[2] and "lambda" not in lines[4]

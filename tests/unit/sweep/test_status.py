@@ -102,7 +102,7 @@ def test_a_process_that_has_the_number_of_a_dead_driver_is_not_the_driver(tmp_pa
     status = tmp_path / "status.json"
     status_values = json.loads(status.read_text())
     status.write_text(json.dumps(status_values | {"pid": 1}))
-    assert ": dead; the same command resumes" in message(tmp_path)
+    assert ": dead; the command of the sweep resumes it" in message(tmp_path)
     status.write_text(json.dumps({name: value for name, value in status_values.items() if name != "pid_began"}))
     assert ": running" in message(tmp_path), "an older program did not say when it began"
 

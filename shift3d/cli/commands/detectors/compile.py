@@ -12,9 +12,9 @@ from shift3d.errors import InputError
 _KEYS = ("detector", "weights", "to")
 
 _DESCRIPTION = f"""\
-Writes a detector of shift3d as an ONNX file: points (N, 3), any N, to boxes (A, 7) and scores (A,), one a proposal,
-before suppression (docs/guides/detectors.md). Compares the scores of both on two streets first, and writes nothing
-where they differ by more than 1e-3. {" and ".join(ONNX_EXPORTABLE)} can be compiled.
+Writes a detector of shift3d as an ONNX file. Input: points (N, 3), any N. Outputs: boxes (A, 7) and scores (A,), one
+per proposal, before suppression (docs/guides/detectors.md). First compares the scores of the file and of the detector
+on two streets, and writes nothing if they differ by more than 1e-3. {" and ".join(ONNX_EXPORTABLE)} can be compiled.
 Needs: pip install 'shift3d[onnx]'."""
 
 _EPILOG = """\

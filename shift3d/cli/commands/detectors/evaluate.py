@@ -29,22 +29,22 @@ _VALUES = {
 }
 
 _DESCRIPTION = """\
-Runs a detector over scenes, once, and computes every metric from what it found: AP and APH in bird's-eye
-view and 3D, by Waymo's definition (LEVEL_1, LEVEL_2, range bins) and KITTI's (40 recall positions; easy,
-moderate and hard where labels have them), at IoU 0.7 and 0.5. Prints, first, AP, APH, recall, flips and the
-errors of boxes with 95 % intervals (scenes resampled), and the same by range, heading, number of points and
-kind of vehicle. Writes a folder: metrics, breakdown, vehicles, curves, detections, truth and timings as Parquet
-(docs/why/models.md says what a row is), curves.png, spec.json.
-All but the timings are the same bytes whatever the number of workers. The same command again resumes.
-A detector of your own is evaluated as any other. An AP near 0 may mean that its boxes are in another frame.
+Runs a detector once over scenes and computes every metric from its detections: AP and APH in bird's-eye view and 3D,
+by Waymo's definition (LEVEL_1, LEVEL_2, range bins) and KITTI's (40 recall positions; easy, moderate and hard if the
+labels have them), at IoU 0.7 and 0.5. Prints AP, APH, recall, heading flips and box errors with 95 % intervals (scenes
+resampled), then the same by range, heading, number of points and kind of vehicle. Writes a folder: metrics,
+breakdown, vehicles, curves, detections, truth and timings as Parquet (docs/why/models.md explains the rows),
+curves.png, spec.json.
+All files but timings have the same bytes for any number of workers. The same command resumes.
+A detector of your own is evaluated like any other. An AP near 0 may mean that its boxes are in another frame.
 
-model=sdf measures the shape model instead: its distance to vehicles, trained on and unseen."""
+model=sdf measures the shape model instead: its distance to vehicles of its training and to unseen vehicles."""
 
 _EPILOG = """\
 examples:
-  shift3d evaluate detector=pointpillars              200 held-out streets: 22 minutes of one core
+  shift3d evaluate detector=pointpillars              200 held-out streets: 22 minutes on one core
   shift3d evaluate detector=sst scenes=street count=20 workers=2
-  shift3d evaluate detector=pointpillars traffic=held_out   every second vehicle of a kind that training never sees
+  shift3d evaluate detector=pointpillars traffic=held_out   half of the vehicles are of kinds that training never sees
   shift3d evaluate detector=pointpillars scenes=kitti root=PATH      PATH holds training/; cars in the image
   shift3d evaluate detector=pointpillars weights=FILE scenes=kitti root=PATH out=DIR
   shift3d evaluate detector=openpcdet weights=FILE.pth config=FILE.yaml scenes=kitti root=PATH

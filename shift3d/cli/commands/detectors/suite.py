@@ -18,20 +18,20 @@ _VALUES = {
 }
 
 _DESCRIPTION = """\
-Freezes hard objects of a finished sweep into a folder or bucket: each object's scene as detectors see it, its box,
-pose and latent code, and the scores that the sweep's detectors gave it; the unchanged vehicle of each task is its
-control. The manifest suite.json has a digest of every file. shift3d gate scores new weights on it; it needs neither
-the sweep nor its renderer."""
+Freezes hard objects of a finished sweep in a folder or bucket: for each object its scene as detectors see it, its box,
+pose and latent code, and the scores that the sweep's detectors gave it. The unchanged vehicle of each task is its
+control. The manifest suite.json holds a digest of every file. shift3d gate scores new weights on the suite; it needs
+neither the sweep nor its renderer."""
 
 _EPILOG = """\
 examples:
   shift3d suite outputs/default-1a2b3c4d5e6f7a8b to=suites/first
   shift3d suite outputs/kitti-1a2b3c4d5e6f7a8b to=s3://BUCKET/suite count=1000 frames=referenced
 
-method=adversarial, count=500, choose=random, seed=0, controls=true and frames=copied are the defaults. choose=hardest
-takes the lowest scores, some of which are low by chance and rise under any other weights. frames=referenced stores
-no scene: the gate reads the data set again (root=PATH where it lies elsewhere), or generates the streets again; for
-data whose licence forbids copies. Left out: unstable solutions (run shift3d verify before) and unnatural shapes."""
+Defaults: method=adversarial count=500 choose=random seed=0 controls=true frames=copied. choose=hardest takes the lowest
+scores; some of them are low by chance and rise under any other weights. frames=referenced stores no scene, for data
+whose licence forbids copies: the gate reads the data set again (root=PATH if it has moved), or generates the streets
+again. The suite leaves out unstable solutions (run shift3d verify first) and unnatural shapes."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -54,21 +54,21 @@ def _run(arguments: argparse.Namespace) -> int:
     parts = [counted(hard, "hard object"), counted(controls, "control"), counted(scenes, "scene")]
     print(f"{suite.folder}: {', '.join(parts)}, {size:.1f} MB, digest {suite.digest}")
     if least_p_value(scenes) > ReleaseRule().level:
-        print("a gate refuses so few scenes, where no loss is significant: freeze a sweep over five or more")
+        print("a gate refuses this suite: with so few scenes no loss is significant. Freeze a sweep over five or more")
     for reason, number in frozen.left_out.items():
         print(f"left out: {number} {reason}")
     if frozen.unverified:
-        print(f"not verified: {frozen.unverified}; shift3d verify {arguments.out} tells which are stable")
+        print(f"not verified: {counted(frozen.unverified, 'hard object')}; shift3d verify {arguments.out}")
     if frozen.largest_difference is None:
-        print("every object was there already")
+        print("the suite existed already: nothing was written")
     else:
-        print(f"scored again: at most {frozen.largest_difference:.1e} from the sweep's scores")
+        print(f"scored again: at most {frozen.largest_difference:.1e} off the sweep's scores")
     return 0
 
 
 COMMAND = Command(
     "suite",
-    "freeze hard objects of a sweep, for gates",
+    "freeze hard objects of a sweep for gates",
     _DESCRIPTION,
     _EPILOG,
     _run,

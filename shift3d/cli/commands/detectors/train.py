@@ -21,47 +21,48 @@ if TYPE_CHECKING:
     from shift3d.training.command import TrainOptions
 
 _DESCRIPTION = """\
-Trains the shape model (model=sdf) or a detector (model=pointpillars, centerpoint, sst). Without more, it is the
-recipe of the shipped weights, from procedural data alone, and replaces them in shift3d/weights. With other
-vehicles (model=sdf vehicles=PATH), scenes, steps or a start, everything goes to out= and nothing that ships
-is touched. The same command again resumes; Ctrl-C and SIGTERM end it after a checkpoint.
+Trains the shape model (model=sdf) or a detector (model=pointpillars, centerpoint, sst_small, sst). model= alone runs
+the recipe of the shipped weights, on procedural data only, and replaces the weights in shift3d/weights. With other
+vehicles (model=sdf vehicles=PATH), scenes, steps, recipe or start, everything goes to out= and no shipped file
+changes. The same command resumes; Ctrl-C and SIGTERM stop the training after a checkpoint.
 
-Seeds are fixed: the same command on the same processor and threads= gives the same bytes, interrupted or not.
-Beside the weights stands a JSON file: recipe, scenes, seconds, device, versions, curve. Curves go to MLflow
-(make ui); an MLflow that is away does not hold a training up."""
+Seeds are fixed: on a CPU, the same command with the same processor and threads= gives the same bytes, interrupted or
+not. A JSON file beside the weights holds recipe, scenes, seconds, device, versions and curve. Curves go to MLflow (make
+ui); if MLflow does not answer, the training continues."""
 
 _EPILOG = f"""\
 examples:
-  shift3d train model=sdf                          9,000 steps, 40 minutes on two quiet cores with bfloat16
-  shift3d train model=pointpillars                 1,500 steps of 8 crops, from CenterPoint's backbone: 54 minutes of
+  shift3d train model=sdf                          9,000 steps, 40 minutes on two idle cores with bfloat16
+  shift3d train model=pointpillars                 1,500 steps of 8 crops, from CenterPoint's backbone: 54 minutes on
                                                    two cores with bfloat16
-  shift3d train model=centerpoint                  5,500 steps of 16 crops, from PointPillars' backbone: some 14
-                                                   minutes of an H200 with 16 cores, 12 hours of one core
-  shift3d train model=sst                          16,000 steps, grown from the small one's weights
+  shift3d train model=centerpoint                  5,500 steps of 16 crops, from PointPillars' backbone: about 14
+                                                   minutes on an H200 with 16 cores, 12 hours on one core
+  shift3d train model=sst                          16,000 steps, grown from the weights of sst_small
   shift3d train model=sst_small                    14,000 steps, 3 hours on one core with bfloat16
-  shift3d train model=sst device=cuda              the same on a GPU; every core beside it makes crops
+  shift3d train model=sst device=cuda              the same on a GPU; all CPU cores but one make crops
   shift3d train model=pointpillars scenes=street count=20 inserted=0 steps=300 out=DIR    a quick try
   shift3d train model=pointpillars scenes=kitti root=PATH start_from=shipped steps=500 out=DIR
-                                                   adapt the shipped weights to real frames, vehicles inserted,
+                                                   adapt the shipped weights to real frames with inserted vehicles,
                                                    at a fifth of the learning rate
   shift3d train model=pointpillars start_from=random steps=20000 out=DIR
-                                                   from no weights; the recipe's 1,500 steps are too few for that
+                                                   from random weights; the recipe's 1,500 steps are too few for them
   shift3d train model=pointpillars start_from=FILE steps=0 out=DIR
-                                                   batch statistics and heads alone (60 steps; recipe.settle_steps=N)
+                                                   batch statistics and heads only (60 steps; recipe.settle_steps=N)
   shift3d train model=pointpillars start_from=shipped recipe.pasted=0 recipe.scale=0.9,1.1 out=DIR
-                                                   any field of the recipe; an unknown one lists them
+                                                   change any field of the recipe; an unknown field lists them all
   shift3d train model=pointpillars finetune=OUT out=DIR
                                                    fine-tune on the objects that a sweep found: one epoch at a small
                                                    rate, see shift3d finetune
   shift3d train model=sdf vehicles=PATH length_m=4.5 out=DIR
-                                                   a decoder of your own meshes and their codes, into DIR
+                                                   a decoder for your own meshes and their codes, into DIR
   shift3d train model=sdf vehicles=wide out=DIR
-                                                   one of the wide family, codes made of the generator's parameters
+                                                   a decoder for the wide family; its codes are computed from the
+                                                   generator's parameters
 
-detectors: vehicles are meshes of the wide family's seen kinds, each another one; none is made by the decoder, and what
-attacks draw on is held out (docs/why/family.md). Half of the crops of the later steps hold two to four more of them,
-cast into the scene on ground that is free (inserted=0: none). Of frames that are labelled in part (KITTI: in the
-camera's view) only that part is trained on.
+detectors: the vehicles in training are meshes of the wide family's seen kinds, each a different one. The decoder makes
+none of them; the held-out kinds are for attacks and evaluation (docs/why/family.md). In the later steps half of the
+crops hold two to four more vehicles, cast into the scene on free ground (inserted=0: none). If only part of a frame is
+labelled (KITTI: the camera's view), training uses only that part.
 mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere float32. mlflow=none writes no curves.
 
 {FRAME_TEXT}"""
@@ -207,14 +208,14 @@ def _train_on_meshes(values: dict[str, str]) -> int:
             chamfer_cm = sorted(found)
     print(
         f"{counted(len(chamfer_cm), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
-        f"to their meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
+        f"to the meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
     )
     return 0
 
 
 COMMAND = Command(
     "train",
-    "train shipped weights, or your own",
+    "train the shipped weights or your own",
     _DESCRIPTION,
     _EPILOG,
     _run,

@@ -17,9 +17,10 @@ _KEYS = ("task", "method", "replicate", "to", "overwrite")
 _VALUES = {"method": tuple(METHODS), "overwrite": ("true",)}
 
 _DESCRIPTION = """\
-Writes the edited scene of a solution as KITTI scene.bin (same point order as the scene) and scene.ply, which beams
-meet the vehicle as hit_mask.npy, the vehicle as object.ply (metres, sensor frame) and object.glb (its own frame, y
-up), boxes as box.json and boxes.json, and all of it as a KITTI folder, kitti/training/ (velodyne, calib, label_2)."""
+Writes one solution as files: the edited scene as KITTI scene.bin (points in the scene's order) and scene.ply, the mask
+of the beams that hit the vehicle as hit_mask.npy, the vehicle as object.ply (metres, sensor frame) and object.glb (its
+own frame, y up), boxes as box.json and boxes.json, and scene and boxes as a KITTI folder, kitti/training/ (velodyne,
+calib, label_2)."""
 
 _EPILOG = f"""\
 example:
@@ -27,9 +28,9 @@ example:
 
 task= is a task's id or its beginning; method= is one of
 {", ".join(METHODS)}
-(replicate= picks one of several, default 0). Both are in final/scores.parquet. A folder that has such files is
-refused without overwrite=true. The KITTI folder is read by
-scenes=kitti scenes.root=DIR/kitti, ground height included; its calibration is that of a camera in the LiDAR's place."""
+(replicate= selects one of several, default 0). final/scores.parquet lists both. The command refuses a folder that
+holds such files, unless overwrite=true. scenes=kitti scenes.root=DIR/kitti reads the KITTI folder, ground height
+included; its calibration is that of a camera at the LiDAR's position."""
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -10,14 +10,14 @@ from shift3d.cli.sweep_arguments import RUNNER_ARGUMENT, compose_runner
 from shift3d.exit_codes import ExitCode
 
 _DESCRIPTION = """\
-What do the shapes have in common that a detector misses? The mesh of every baseline and of every adversarial shape of a
-finished sweep is measured as a data sheet has it: length, width, height, clearance, bonnet, windshield, overhangs. The
-mean changes are printed with their intervals, and those of poses. The measures go to OUT/final/patterns.parquet; the
-report shows them. The same command again resumes."""
+Which changes of shape and pose do a sweep's attacks have in common? The command measures the mesh of every baseline and
+of every adversarial shape of a finished sweep like a data sheet: length, width, height, clearance, bonnet, windshield,
+overhangs. It prints the mean changes of these measures and of the poses with their intervals, and writes the measures
+to OUT/final/patterns.parquet; the report shows them. The same command resumes."""
 
 _EPILOG = """\
 examples:
-  shift3d patterns outputs/default-1a2b3c4d5e6f7a8b                 on Ray, as the sweep
+  shift3d patterns outputs/default-1a2b3c4d5e6f7a8b                 on Ray, like the sweep
   shift3d patterns outputs/default-1a2b3c4d5e6f7a8b runner=local    in this process
 
 A mesh takes about a second."""
@@ -36,14 +36,14 @@ def _run(arguments: argparse.Namespace) -> int:
     sweep = read_sweep(arguments.out)
     for label, found in pattern_groups(sweep.patterns, sweep.scores):
         print(f"\n{patterns_table(f'Changes: {label}', found)}")
-    print(f"\nwritten in {result.seconds:.0f} s; shift3d report {arguments.out} shows them")
-    print("the sweep's command again puts them into MLflow")
+    print(f"\nmeasured in {result.seconds:.0f} s; shift3d report {arguments.out} shows the changes")
+    print("the sweep's command copies them to MLflow")
     return int(ExitCode.INCOMPLETE if result.quarantined else ExitCode.DONE)
 
 
 COMMAND = Command(
     "patterns",
-    "measure what a sweep's attacks change",
+    "measure how a sweep's attacks change shapes and poses",
     _DESCRIPTION,
     _EPILOG,
     _run,

@@ -14,24 +14,24 @@ from shift3d.signals import received_signals
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
-Which vehicles in a log are like the shapes that a sweep found, and are they missed too? Every labelled vehicle of a set
-of scenes is cropped, and its shape is fitted to its points in the decoder's first 10 principal components. The vehicle
-nearest to each adversarial shape is put in its place and scored, as in the paper's supplement. So are three controls:
-vehicles that were seen from as far and by as many points. The pool goes to a folder of its own, which other sweeps may
-use; the result goes to OUT/final: vehicle_pool.parquet and retrieved.parquet. The report shows both. The same command
-again resumes."""
+Which labelled vehicles resemble the shapes that a sweep found, and does the detector miss them too? The command crops
+every labelled vehicle of a set of scenes and fits a shape to its points in the decoder's first 10 principal components.
+It puts the vehicle nearest to each adversarial shape in the place of that shape and scores it, as in the paper's
+supplement. It does the same with up to three controls: vehicles seen from a similar distance with a similar number of
+points. It writes the pool of vehicles to a separate folder, which other sweeps may use, and the result to OUT/final:
+vehicle_pool.parquet and retrieved.parquet. The report shows both. The same command resumes."""
 
 _EPILOG = """\
 examples:
   shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b                       vehicles of procedural streets (split val)
-  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b scenes.count=500      of more of them
+  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b scenes.count=500      vehicles of more streets
   shift3d retrieve outputs/kitti-1a2b3c4d5e6f7a8b scenes=kitti scenes.root=PATH    labelled cars of KITTI frames
   shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b runner=local          in this process
 
-Settings are those of sweeps/retrieval.yaml: the pool's scenes, the decoder (vehicle=), the detector that scores the
-pool's vehicles where they stand, the runner. Without settings that change them, the same pool is used again.
-pool=DIR names the pool's folder. Vehicles with fewer than 10 points are refused; those seen from one side, and those
-that their box does not fit, are flagged and never retrieved."""
+The settings are those of sweeps/retrieval.yaml: the pool's scenes, the decoder (vehicle=), the detector that scores the
+pool's vehicles where the scenes have them, the runner. The same settings use the same pool again. pool=DIR names the
+pool's folder. The command refuses vehicles with fewer than 10 points. It flags vehicles seen from one side only,
+vehicles that do not fit their box, and shapes without a surface; it never retrieves a flagged vehicle."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -68,13 +68,13 @@ def _run(arguments: argparse.Namespace) -> int:
     table = retrieval_table(scored.final.frame("retrieved"))
     print(f"\n{table if table else 'no adversarial shape has a score: nothing to retrieve'}\n")
     print(f"{folder / 'final' / 'retrieved.parquet'} written in {fitted.seconds + scored.seconds:.0f} s")
-    print(f"pictures and curves: shift3d report {folder}; the sweep's command again puts the scores into MLflow")
+    print(f"pictures and curves: shift3d report {folder}; the sweep's command copies the scores to MLflow")
     return int(ExitCode.INCOMPLETE if fitted.quarantined or scored.quarantined else ExitCode.DONE)
 
 
 COMMAND = Command(
     "retrieve",
-    "find vehicles in scenes that are like a sweep's shapes",
+    "find labelled vehicles that resemble a sweep's shapes",
     _DESCRIPTION,
     _EPILOG,
     _run,

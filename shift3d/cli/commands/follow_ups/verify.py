@@ -12,20 +12,20 @@ from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
-Checks that low scores are no numerical errors. Every solution of a finished sweep is scored again: rendered
-exactly in float64, with fresh noise on the beams that meet it, and a little off its pose. The result goes into
-OUT/final: columns score_reference and stable of scores.parquet, all of it in verification.parquet, and the page
-stability.html. The same command again resumes; a sweep that is run again keeps its verification."""
+Checks that low scores are not numerical errors. Scores every solution of a finished sweep again: rendered exactly in
+float64, with new noise on the beams that hit the vehicle, and at poses slightly off its own. Writes the result to
+OUT/final: columns score_reference and stable of scores.parquet, all values in verification.parquet, and the page
+stability.html. The same command resumes. A sweep that runs again keeps its verification."""
 
 _EPILOG = """\
 examples:
-  shift3d verify outputs/default-1a2b3c4d5e6f7a8b                   on Ray, as the sweep
+  shift3d verify outputs/default-1a2b3c4d5e6f7a8b                   on Ray, like the sweep
   shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner=local      in this process
   shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner.workers=2 runner.address=auto
 
-stable: score and margin to the baseline are those of the reference to within 0.02.
-robust: under every draw of noise and pose at least half of the margin is left, or at most 0.02 is lost.
-A solution takes about as long as twenty steps of its attack, more than half of it for the reference rendering."""
+stable: score and margin to the baseline are within 0.02 of the reference's.
+robust: under every draw of noise and pose at least half of the margin remains, or at most 0.02 of score is lost.
+A solution takes about as long as twenty steps of its attack; the reference rendering takes more than half of that."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -47,7 +47,7 @@ def _run(arguments: argparse.Namespace) -> int:
     scores, verification = result.final.frame("scores"), result.final.frame("verification")
     print(f"\n{stability_lines(verification)}\n\n{diagnostics(scores)}\n")
     page = write_stability_page(folder / "final" / "stability.html", plan.sweep, scores, verification)
-    print(f"{page} written in {result.seconds:.0f} s; the sweep's command again puts it into MLflow")
+    print(f"{page} written in {result.seconds:.0f} s; the sweep's command copies it to MLflow")
     if result.quarantined:
         attempts = folder / "verification" / "final" / "attempts.parquet"
         print(f"{counted(result.quarantined, 'task')} could not be verified: {attempts}", file=sys.stderr)
@@ -57,7 +57,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 COMMAND = Command(
     "verify",
-    "score a sweep's solutions again, at reference accuracy",
+    "score a sweep's solutions again at reference accuracy",
     _DESCRIPTION,
     _EPILOG,
     _run,
