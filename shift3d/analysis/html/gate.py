@@ -24,7 +24,7 @@ _MEANING = {
     "lost": "detected by the release before, but not by the new weights",
     "test": "each draw swaps before and after in random scenes, for all measures together; p is the share of 10,000 "
     "draws (of all patterns for 13 scenes or fewer) in which the largest standardised loss of any measure is at least "
-    "the loss of this measure",
+    "that of this measure",
 }
 
 

@@ -67,7 +67,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     ]
     lead = (
         f"{counted(len(plan.tasks), 'attack')} on a LiDAR vehicle detector. An attack inserts a vehicle into a scene "
-        "and searches a shape or pose with a lower detection score."
+        "and searches for a shape or pose with a lower detection score."
     )
     bar = progress_bar(sections, desc="page sections", leave=False)
     shown = [Section(key, title, blocks) for key, title, make in bar if (blocks := make())]

@@ -20,8 +20,8 @@ def test_the_advice_cites_the_numbers_that_follow_from_the_rows() -> None:
         "The default, standard, is 400 times as fast as paper as published (100 times as fast as paper on the "
         "sphere's chord only), and misses or misplaces none of the hits; paper misses or misplaces 0.5 %.",
         "Its depth error is at most 1 µm for half of the hits, 10 µm for 99 % and 460 µm for all; it misses none of "
-        "the hits whose chord is 2 cm or longer; the cosine between its gradient and reference's is 0.9995, and the AUC "
-        "changes by -0.002.",
+        "the hits whose chord is 2 cm or longer; the cosine between its gradient and reference's is 0.9995, and the "
+        "AUC changes by -0.002.",
         "counts 1 m for each misplaced beam, its error is at most 10 µm per beam.",
         "The faster preset, draft, saves 50 % of the time, with an error of 2 mm instead of 10 µm and 0.1 % of the "
         "hits misplaced instead of none.",
@@ -54,7 +54,7 @@ def test_a_preset_behind_the_front_and_a_tie_in_time_are_said() -> None:
 def test_settings_between_which_another_is_not_dominated_are_not_one_run() -> None:
     rows = [march(0.4, 10.0, 1e-2), march(0.3, 11.0, 1e-2), march(0.2, 3.0, 1e-6), march(0.1, 12.0, 1e-2)]
     text = advice(frame_of([*rows, march(0.05, 13.0, 1e-2)]))
-    assert "by march 0.2 m: march 0.05 m (4.33 times), march 0.1 m (4 times), march 0.3 m (3.67 times)" in text
+    assert "march 0.2 m dominates march 0.05 m (4.33 times), march 0.1 m (4 times), march 0.3 m (3.67 times)" in text
 
 
 def test_advice_without_presets_without_paper_and_on_two_scene_sets() -> None:
@@ -74,7 +74,7 @@ def test_advice_without_presets_without_paper_and_on_two_scene_sets() -> None:
 def test_the_table_has_the_fastest_first_and_no_column_that_nothing_was_measured_for() -> None:
     table, legend = frontier_lines(frame_of(small_rows())).split("\n\n")
     lines = table.splitlines()
-    assert legend.startswith("time: of one rendering, median; x paper: ")
+    assert legend.startswith("time: median time of one rendering; x paper: ")
     assert [line[:14].strip() for line in lines[3:]] == [
         *("standard, warm", "draft", "standard", "march 0.4 m", "march 0.2 m", "march 0.1 m", "paper", "reference"),
     ]

@@ -70,7 +70,7 @@ def test_time_is_that_of_the_presets_own_tasks() -> None:
 
 def test_without_a_frontier_of_ones_own_the_shipped_one_speaks(tmp_path: Path) -> None:
     presets, whose = measured_presets(tmp_path)
-    assert {"draft", "standard", "paper", "reference"} == set(presets.index) and "ships" in whose
+    assert {"draft", "standard", "paper", "reference"} == set(presets.index) and "shipped" in whose
     assert MEASURED.is_file()
     assert presets.loc["draft", "ms_median"] < presets.loc["reference", "ms_median"]
 
@@ -93,17 +93,17 @@ def test_every_column_of_the_presets_is_explained_by_itself(tmp_path: Path) -> N
     explained = preset_meanings()
     assert list(explained) == list(preset_table(tmp_path).header[1:])
     assert not any("the same" in meaning or "below" in meaning for meaning in explained.values())
-    assert "time: of one rendering, median; x paper: " in legend(explained)
+    assert "time: median time of one rendering; x paper: " in legend(explained)
 
 
 def test_a_frontier_of_other_scenes_or_one_that_is_torn_counts_as_none(tmp_path: Path) -> None:
     names = ("draft", "standard", "paper", "reference")
     kitti = [frontier_row(name, 9.0, preset=name, scenes="kitti") for name in names]
     write_table(tmp_path / "frontier.parquet", frontier_table(flagged(kitti)))
-    assert "ships" in measured_presets(tmp_path)[1] and set(measured_presets(tmp_path)[0].index) == set(names)
+    assert "shipped" in measured_presets(tmp_path)[1] and set(measured_presets(tmp_path)[0].index) == set(names)
     (tmp_path / "frontier.parquet").write_bytes(b"PAR1")
     whose = measured_presets(tmp_path)[1]
-    assert "ships" in whose and f"{tmp_path / 'frontier.parquet'} cannot be read" in whose
+    assert "shipped" in whose and f"{tmp_path / 'frontier.parquet'} cannot be read" in whose
 
 
 def test_non_finite_values_are_those_of_an_object_whoever_scores_it() -> None:

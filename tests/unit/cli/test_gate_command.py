@@ -108,7 +108,7 @@ def test_a_changed_suite_and_a_missing_scene(folder: Path, capsys: pytest.Captur
     assert f"{scene.name}: is missing" in refused(words, capsys)
     manifest = json.loads((folder / "suite" / "suite.json").read_bytes())
     (folder / "suite" / "suite.json").write_bytes(manifest_bytes({**manifest, "version": 0}))
-    assert "version 0, this program reads 1" in refused(words, capsys)
+    assert "version 0; this program reads version 1" in refused(words, capsys)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def hard_cases(sweep: Sweep, loaded: PageCache, count: int = 4) -> list[Block]:
         except InputError as error:
             parts.append(missing(f"Case {number}, task {case.task_id}, cannot be drawn: {error.what}"))
     lead = (
-        f"{counted(len(chosen), 'solution')} with the largest falls of the score below the baseline of the same task; "
+        f"{counted(len(chosen), 'solution')} with the largest score drops from the baseline of the same task; "
         f"new vehicles and scenes are preferred.{_left_out(unnatural, chosen)} Drag a vehicle to turn both."
     )
     return [Paragraph(lead), *parts, Collapsible("How the meshes are measured", [Terms(DEFINITIONS)])]

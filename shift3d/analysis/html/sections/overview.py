@@ -25,7 +25,7 @@ def choices(sweep: Sweep) -> list[Block]:
     """Build the section of choices: one table per parameter, one sentence per choice."""
     if sweep.choices.empty:
         return [missing("This sweep compares no two values of alpha or lambda.")]
-    why = Collapsible("Reason of each choice", [Items(reasons(sweep.choices))])
+    why = Collapsible("Reason for each choice", [Items(reasons(sweep.choices))])
     return [Paragraph(_RULE), *choice_tables(sweep.choices), why]
 
 

@@ -80,7 +80,7 @@ def case_path(key: str, rows: pd.DataFrame) -> Block:
         if len(part):
             traces.append(marks(part["step"].to_numpy(), short(part["proposal_score"]), marker, name=name))
     at_best = int(best["step"].iloc[0]) if len(best) else 0
-    caption = f"Score that the search sees by step: {scores[0]:.2f} at the start; step {at_best} is the best"
+    caption = f"Search score by step: {scores[0]:.2f} at the start; step {at_best} is the best"
     return plot(f"{key}-path", traces, _layout(int(steps[-1])), caption, caption, 260)
 
 
