@@ -71,7 +71,7 @@ def run_gate(
     again = newest if newest and newest.number and newest.weights == scorer.digest else None
     last = last_release(suite, releases, detector, settings.against, but=scorer.digest)
     if last is None and again:
-        text = f"these weights are already {again.name}, and no earlier release exists to compare them with"
+        text = f"these weights are already {again.name}, and no release of other weights exists to compare them with"
         return GateOutcome(ExitCode.DONE, text, compared=False)
     if last is None and settings.accept == "false":
         what = f"{detector} has no release to compare with, and the suite does not hold its scores of all objects"

@@ -183,7 +183,7 @@ def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
     for name in _FIXED_FIELDS:
         if name in options.recipe:
             remedy = "Give steps=N" if name == "steps" else f"Leave recipe.{name}= out"
-            raise InputError(f"recipe.{name}= has no effect with finetune=", "train", remedy)
+            raise InputError(f"recipe.{name}= means nothing with finetune=", "train", remedy)
     if options.steps == 0:
         raise InputError("steps=0 tunes nothing", "train", "Give steps=N from 1, or leave steps= out for one epoch")
     recipe = changed(recipe, options.recipe)

@@ -171,11 +171,11 @@ def test_unusable_sweeps_are_one_clear_line(attacked: Path, held_out: Path, tmp_
         tuned(attacked, out, f"start_from={tmp_path / 'none.safetensors'}")
     with pytest.raises(InputError, match="inserted_share=0 leaves no object"):
         tuned(attacked, out, "recipe.inserted_share=0")
-    with pytest.raises(InputError, match="has no effect with finetune="):
+    with pytest.raises(InputError, match="means nothing with finetune="):
         tuned(attacked, out, "scenes=kitti")
-    with pytest.raises(InputError, match=r"recipe\.steps= has no effect with finetune=.*Give steps=N"):
+    with pytest.raises(InputError, match=r"recipe\.steps= means nothing with finetune=.*Give steps=N"):
         tuned(attacked, out, "recipe.steps=7")
-    with pytest.raises(InputError, match=r"recipe\.anchor_size_m= has no effect with finetune="):
+    with pytest.raises(InputError, match=r"recipe\.anchor_size_m= means nothing with finetune="):
         tuned(attacked, out, "recipe.anchor_size_m=6,2.4,2.2")
     with pytest.raises(InputError, match="steps=0 tunes nothing"):
         tuned(attacked, out, "steps=0", f"start_from={SHIPPED}")
