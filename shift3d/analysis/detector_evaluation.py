@@ -139,7 +139,7 @@ def evaluate_detector(
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, open_scenes, workers, score_threshold)
     found = stored_or_detected(scene_names, out / "scenes", detect, partial(_state, opened_scenes))
-    label = f"{name}, {workers} at a time"
+    label = f"{name}, {counted(workers, 'worker')}"
     answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
     return write_evaluation(name, dataset_of(scenes), answers, out)
 
@@ -165,14 +165,16 @@ def write_evaluation(detector: str, dataset: str, answers: Sequence[SceneDetecti
     figure = precision_recall_figure(metrics, f"{detector} on {dataset}, {counted(len(answers), 'scene')}")
     write_atomic(out / "curves.png", png(figure))
     took = np.median([answer.detect_ms for answer in answers])
-    title = f"{detector} on {dataset}: {counted(len(answers), 'scene')}, {took:.0f} ms a detection (median, one thread)"
-    printed = [summary_table(title, groups), group_table(groups), metric_table("By every definition", metrics)]
-    return "\n\n".join(map(str, printed)) + f"\n{out}: every number, curve, vehicle, detection and label as Parquet"
+    title = f"{detector} on {dataset}: {counted(len(answers), 'scene')}, {took:.0f} ms per scene (median, one thread)"
+    printed = [summary_table(title, groups), group_table(groups), metric_table("AP by every definition", metrics)]
+    return (
+        "\n\n".join(map(str, printed)) + f"\n{out} holds every number, curve, vehicle, detection and label as Parquet"
+    )
 
 
 def _claim(file: Path, spec: dict[str, object]) -> None:
     """Write the spec of the evaluation, or refuse a folder that holds another evaluation."""
     content = json.dumps(spec, indent=1).encode() + b"\n"
     if file.exists() and file.read_bytes() != content:
-        raise InputError("holds another evaluation", str(file.parent), "Give another out=, or remove the folder")
+        raise InputError("holds another evaluation", str(file.parent), "Give another out=DIR, or remove the folder")
     write_atomic(file, content)

@@ -71,10 +71,10 @@ def run_gate(
     again = newest if newest and newest.number and newest.weights == scorer.digest else None
     last = last_release(suite, releases, detector, settings.against, but=scorer.digest)
     if last is None and again:
-        text = f"these weights are {again.name} already, the first: there is none before it to compare them with"
+        text = f"these weights are already {again.name}, and no release of other weights exists to compare them with"
         return GateOutcome(ExitCode.DONE, text, compared=False)
     if last is None and settings.accept == "false":
-        what = f"{detector} has no release to compare with, and did not score all of the suite's objects"
+        what = f"{detector} has no release to compare with, and the suite does not hold its scores of all objects"
         raise InputError(what, str(releases), "Give accept=true to make these weights the first release")
     _claim(out, suite, scorer)
     answers, scores = out / f"answers-{program_digest(*_SCORING)[:16]}", dict[str, float]()
@@ -94,7 +94,7 @@ def run_gate(
     if settings.accept == "anyway" or (settings.accept == "true" and not found.worse):
         texts.append(f"accepted as release {accept_release(suite, releases, detector, scorer.digest, after)}")
     elif again:
-        texts.append(f"these weights are {again.name} already")
+        texts.append(f"these weights are already {again.name}")
     elif settings.accept == "true":
         texts.append("not accepted: accept=anyway accepts a release that is worse")
     return GateOutcome(ExitCode.DONE if passes else ExitCode.WORSE, "\n\n".join(filter(None, texts)))
@@ -122,8 +122,8 @@ def _check(suite: FrozenSuite, scorer: Scorer, rule: ReleaseRule) -> None:
     """Refuse a suite or detector that cannot give a verdict, before anything is scored."""
     scenes = places_of(suite.objects).nunique()
     if least_p_value(scenes) > rule.level:
-        what = f"has objects of {counted(scenes, 'scene')}: no loss would be significant at level={rule.level:g}"
-        remedy = "Freeze a suite of a sweep over more scenes: scenes.count=; frames of one segment or log count once"
+        what = f"has objects of {counted(scenes, 'scene')}: no loss can be significant at level={rule.level:g}"
+        remedy = "Freeze a suite of a sweep over more scenes (scenes.count=); frames of one segment or log count once"
         raise InputError(what, str(suite.folder), remedy)
     for precision in suite.objects["precision"].unique():
         scorer.at(precision)
@@ -145,13 +145,12 @@ def _claim(out: Location, suite: FrozenSuite, scorer: Scorer) -> None:
 
 def _caution(suite: FrozenSuite, last: Release, scorer: Scorer) -> str:
     if last.weights == scorer.digest:
-        return "These are the same weights as the ones that they are compared with."
+        return "The gate compares these weights with themselves."
     if last.number or scorer.name not in suite.manifest["attacked"]:
         return ""
     return (
-        "The hard objects were made against the weights that these are compared with, so that other weights tend to "
-        "score them higher without being better. Look at the controls; from the first accepted release on, the "
-        "comparison is fair."
+        "The hard objects were searched against the weights before, so other weights tend to score them higher "
+        "without being better. Look at the controls. The comparison is fair from the first accepted release on."
     )
 
 
@@ -166,8 +165,8 @@ def _facts(suite: FrozenSuite, scorer: Scorer, last: Release, settings: GateSett
         "weights": scorer.digest,
         "against": last.name,
         "weights before": last.weights,
-        "rule": f"a score above {settings.rule.score_threshold:g} is a detection; worse is a loss of at least "
-        f"{settings.rule.tolerance:g} with p of at most {settings.rule.level:g}, of any measure",
+        "rule": f"a score above {settings.rule.score_threshold:g} is a detection; weights are worse if any measure "
+        f"falls by at least {settings.rule.tolerance:g} with p of at most {settings.rule.level:g}",
     }
 
 

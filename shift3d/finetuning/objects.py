@@ -131,7 +131,7 @@ def refuse_other_splits(specs: Iterable[TaskSpec], where: str) -> None:
     for spec in specs:
         made = spec.scene_arguments
         if made.get("kind") == "street" and made.get("split") != "train":
-            what = f"holds {spec.scene}, a street of split {made.get('split')}, not train"
+            what = f"contains {spec.scene}, a street of split {made.get('split')}, not train"
             raise InputError(what, where=where, remedy="Run the sweep with scenes.split=train")
 
 
@@ -147,9 +147,11 @@ def stable_objects(folder: LocationLike, detector: str, weights_hash: str, metho
     found = scored_objects(folder, detector, ("adversarial",))
     where = str(found.folder)
     if any(row.stable is None for row in found.objects):
-        remedy = f"Verify it first: shift3d verify {where}"
-        raise InputError("is not verified: which objects are stable is not known", where=where, remedy=remedy)
-    refuse_other_weights(found, weights_hash, "the tuning starts from", "Give start_from= the weights it attacked")
+        remedy = f"Verify the sweep first: shift3d verify {where}"
+        raise InputError("is not verified, so its stable objects are unknown", where=where, remedy=remedy)
+    refuse_other_weights(
+        found, weights_hash, "the tuning starts from", "Give start_from= the weights that the sweep attacked"
+    )
     refuse_other_splits((row.spec for row in found.objects), where)
     searched = [row for row in found.objects if row.searched]
     stable = tuple(row for row in searched if row.stable)

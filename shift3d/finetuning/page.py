@@ -28,12 +28,12 @@ PAPER = {"baseline": (0.751, 0.774), "adversarial": (0.482, 0.514)}
 PAPER_NATURAL = {"APH BEV": (0.810, 0.812), "AP BEV": (0.823, 0.826), "APH 3D": (0.603, 0.605), "AP 3D": (0.610, 0.612)}
 """LEVEL_1 metrics before and after, on the Waymo Open Dataset. Source: SHIFT3D, table tab:natural_metrics."""
 _MEANINGS = {
-    "vanilla": "the detector before.",
-    "fine-tuned": "after one epoch on the adversarial objects; the mean over its seeds.",
-    "control": "after the same epoch on the unchanged vehicles of the same tasks.",
-    "gain": "over vanilla, on the same objects or scenes; [95 %, scenes resampled].",
-    "objects unchanged": "as placed.",
-    "objects found against": "searched.",
+    "vanilla": "the detector before fine-tuning",
+    "fine-tuned": "the detector after one epoch on the adversarial objects; mean over its seeds",
+    "control": "the detector after the same epoch on the unchanged vehicles of the same tasks",
+    "gain": "difference to vanilla on the same objects or scenes; [95 %, scenes resampled]",
+    "objects unchanged": "vehicles as placed, before a search",
+    "objects found against": "adversarial objects of a search against this detector",
 }
 
 
@@ -66,7 +66,7 @@ def gains_table(table: pd.DataFrame) -> Table:
             texts = [number(paper[0]), number(paper[1]), _signed(paper[1] - paper[0])]
             lines.append([SCENE_SETS[scene_set], _what(objects, metric), "paper", *texts])
             kinds.append("paper")
-    return Table("Before and after", ["scenes", "of", "model", "vanilla", "after", "gain"], lines, kinds)
+    return Table("Before and after", ["scenes", "metric", "model", "vanilla", "after", "gain"], lines, kinds)
 
 
 def seeds_table(table: pd.DataFrame) -> Table:
@@ -83,7 +83,7 @@ def seeds_table(table: pd.DataFrame) -> Table:
         ]
         for row in table[table["seed"].notna()].itertuples()
     ]
-    return Table("Every seed", ["scenes", "of", "model", "seed", "after", "gain", "number"], lines)
+    return Table("Every seed", ["scenes", "metric", "model", "seed", "after", "gain", "number"], lines)
 
 
 def finetune_page(
@@ -95,8 +95,8 @@ def finetune_page(
     weights. commands: commands that made the results, in order.
     """
     lead = (
-        "A detector is attacked on training streets, fine-tuned for one epoch on what was found there, and "
-        "measured on streets that neither training nor fine-tuning saw."
+        "shift3d attacks a detector on training streets, fine-tunes it for one epoch on the adversarial objects, and "
+        "measures it on streets that neither training nor fine-tuning saw."
     )
     short: list[Block] = [gains_table(table), Terms(_MEANINGS), Collapsible("Every seed", [seeds_table(table)])]
     made: list[Block] = [Terms(_facts(provenance)), *(Paragraph(command) for command in commands)]
@@ -107,7 +107,7 @@ def finetune_page(
     sections = [
         Section("gains", "Before and after", short),
         Section("curves", "Threshold-recall curves", [Panels(curves)]),
-        Section("made", "How it was made", made),
+        Section("made", "Provenance and commands", made),
     ]
     return document("Fine-tuning on adversarial objects", sections, lead, plotly_library())
 
@@ -143,5 +143,5 @@ def _facts(provenance: Mapping[str, Any]) -> dict[str, str]:
         "left out": left_out,
         "sweep": f"{source['sweep']} {source['spec_hash']}",
         "started from": f"{provenance['started_from']['file']}, BLAKE2b {provenance['started_from']['blake2b']}",
-        "rate": f"{provenance['rate']:g} at its peak, {counted(provenance['steps'], 'step')}",
+        "rate": f"peak {provenance['rate']:g}, {counted(provenance['steps'], 'step')}",
     }

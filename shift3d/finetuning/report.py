@@ -105,7 +105,7 @@ def mirror(folder: Path, models: Sequence[TunedModel], uri: str, experiment: str
 
 
 def _table(file: Path) -> pa.Table:
-    return read_parquet(file, "Remove it: the same command makes it again")[0]
+    return read_parquet(file, "Remove the file: the same command writes it again")[0]
 
 
 def _params(facts: dict[str, object]) -> dict[str, object]:

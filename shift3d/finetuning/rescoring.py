@@ -31,7 +31,9 @@ def attacked_scores(folder: LocationLike, detector: str, weights: Path | None = 
     """
     found = scored_objects(folder, detector, METHODS)
     if weights is not None:
-        refuse_other_weights(found, file_hash(weights), f"{weights} holds", "Remove the folder, and run it again")
+        refuse_other_weights(
+            found, file_hash(weights), f"{weights} holds", "Remove the folder and run the command again"
+        )
     return _table([(row, row.score) for row in found.objects])
 
 

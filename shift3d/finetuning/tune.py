@@ -55,7 +55,7 @@ def object_scenes(folder: Path, found: SweepObjects) -> list[Path]:
     def build(name: str) -> TrainingScene:
         return object_scene(rows[name], found.assets_of(rows[name]))
 
-    return cache_scenes(place, rows, build, "objects in their scenes")
+    return cache_scenes(place, rows, build, "scenes with objects")
 
 
 def natural_scenes(folder: Path, found: SweepObjects) -> list[Path]:
@@ -66,7 +66,7 @@ def natural_scenes(folder: Path, found: SweepObjects) -> list[Path]:
         row = rows[name]
         return from_scene(found.assets_of(row).scene(row.spec)[0], _sector_rad(row.spec))
 
-    return cache_scenes(folder / f"scenes-{objects_digest(found)}", rows, build, "the same scenes without")
+    return cache_scenes(folder / f"scenes-{objects_digest(found)}", rows, build, "scenes without objects")
 
 
 def object_scene(row: SweepObject, assets: Assets) -> TrainingScene:
@@ -121,7 +121,7 @@ def fine_tune(
     shipped = WEIGHTS_FOLDER / f"{detector}.safetensors"
     start = shipped if options.start_from in (None, "shipped") else Path(str(options.start_from)).expanduser()
     if not start.is_file():
-        raise InputError("no such weights", where=str(start), remedy="Give start_from=FILE, or start_from=shipped")
+        raise InputError("no such weights file", where=str(start), remedy="Give start_from=FILE, or start_from=shipped")
     start_hash, before = file_hash(start), read_provenance(start)
     found = stable_objects(sweep, detector, start_hash, method)
     state = load_network(start, detector).state_dict()
@@ -185,7 +185,7 @@ def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
             remedy = "Give steps=N" if name == "steps" else f"Leave recipe.{name}= out"
             raise InputError(f"recipe.{name}= means nothing with finetune=", "train", remedy)
     if options.steps == 0:
-        raise InputError("steps=0 tunes nothing", "train", "Give steps=N from 1, or leave it out for one epoch")
+        raise InputError("steps=0 tunes nothing", "train", "Give steps=N from 1, or leave steps= out for one epoch")
     recipe = changed(recipe, options.recipe)
     if recipe.inserted_share <= 0.0:
         raise InputError("recipe.inserted_share=0 leaves no object", "train", "Give a share above 0")

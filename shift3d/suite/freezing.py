@@ -114,7 +114,7 @@ def freeze_suite(
         _forget_scenes(to)
         return FreezeResult(read_suite(to), chosen.left_out, chosen.unverified, None)
     if any(name not in _UNFINISHED and not name.startswith(_SCENE) for name in to.names()):
-        raise InputError("is no suite, and not empty", str(to), "Give another to=DIR")
+        raise InputError("is not a suite, and is not empty", str(to), "Give another to=DIR")
     to.check_writable("to=DIR")
     writing = _SuiteWriter(to, frames, blake2b(json.dumps([made, frames], sort_keys=True).encode()))
     objects, left_out, largest = _objects(plan, chosen, writing)
@@ -172,7 +172,7 @@ def _objects(
         for (dataset, scene), hard in scenes:
             for row in freezing.scene(f"{dataset}/{scene}", hard):
                 if row["role"] == _LEFT_OUT:
-                    left_out["with another score than the sweep's"] += 1
+                    left_out["with a score other than the sweep's"] += 1
                 else:
                     objects.setdefault(row["object_id"], row)
             progress.update(len(hard))

@@ -83,7 +83,7 @@ class FrozenSuite:
         scene = self._frames(int(row["frames"])).load(row["scene"])
         if scene.content_hash() != row["scene_hash"]:
             remedy = "Give root=PATH of the same data, or freeze the suite again"
-            raise InputError("is another frame than the suite was frozen with", f"scene {row['scene']}", remedy)
+            raise InputError("differs from the frame that the suite was frozen with", f"scene {row['scene']}", remedy)
         return scene.points
 
     def _frames(self, number: int) -> SceneSet:
@@ -125,7 +125,7 @@ def read_suite(folder: LocationLike, root: str | None = None) -> FrozenSuite:
         _checked(folder / name, digest)
     objects = read_suite_table(folder / "objects.parquet", "objects").to_pandas()
     if objects.empty:
-        raise InputError("holds no object", str(folder), "Freeze a suite of a sweep that found hard objects")
+        raise InputError("contains no object", str(folder), "Freeze a suite of a sweep that found hard objects")
     return FrozenSuite(folder, manifest, objects, root)
 
 
@@ -135,12 +135,12 @@ def read_manifest(path: Location) -> dict[str, Any]:
         manifest = json.loads(path.read_bytes())
     except FileNotFoundError as error:
         remedy = "Give suite=DIR of a folder that shift3d suite wrote"
-        raise InputError("there is no suite", str(path), remedy) from error
+        raise InputError("no such suite", str(path), remedy) from error
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"cannot be read ({type(error).__name__})", str(path), _CHANGED) from error
     version = manifest.get("version") if isinstance(manifest, dict) else None
     if version != SUITE_VERSION:
-        what = f"is a suite of version {str(version)[:20]}, this program reads {SUITE_VERSION}"
+        what = f"is a suite of version {str(version)[:20]}; this program reads version {SUITE_VERSION}"
         remedy = "Use the version of shift3d that wrote it, or freeze the suite again"
         raise InputError(what, str(path), remedy)
     return dict(manifest)

@@ -30,7 +30,7 @@ class Release:
     @property
     def name(self) -> str:
         """Name to display."""
-        return f"release {self.number}" if self.number else "the weights of the sweep"
+        return f"release {self.number}" if self.number else "the sweep's weights"
 
 
 def last_release(
@@ -54,7 +54,11 @@ def last_release(
         if release.detector in wanted and (release.weights != but if number is None else release.number == number):
             return release
     if number:
-        raise InputError(f"there is no release {number} of {detector}", str(folder), "Leave against= out for the last")
+        raise InputError(
+            f"there is no release {number} of {detector}",
+            str(folder),
+            "Leave against= out to compare with the last release",
+        )
     table = read_suite_table(suite.folder / "scores.parquet", "scores").to_pandas()
     own = table[table["detector"] == (kind if alone else detector)]
     # Scores of only some objects, or of several weights, are no release.
@@ -72,7 +76,7 @@ def refuse_unknown_name(suite: FrozenSuite, folder: Location, detector: str) -> 
     if named and detector not in named:
         others = sorted(other.partition(":")[2] for other in named)
         remedy = f"Give name={others[0]} for its next release, or name={name} for another detector"
-        raise InputError(f"holds releases of {', '.join(others)}, none of {name}", str(folder), remedy)
+        raise InputError(f"has releases of {', '.join(others)}, but none of {name}", str(folder), remedy)
 
 
 def accept_release(
@@ -92,7 +96,7 @@ def accept_release(
     metadata = {**SUITE_SCHEMAS["scores"].metadata, b"shift3d.suite": suite.digest.encode()}
     content = suite_table_bytes(suite_table("scores", rows).replace_schema_metadata(metadata))
     if not (folder / f"{number:08d}.parquet").put_if_absent(content):
-        raise InputError(f"release {number} was accepted by another gate", str(folder), "Run this one again")
+        raise InputError(f"release {number} was accepted by another gate", str(folder), "Run this gate again")
     return number
 
 
@@ -110,11 +114,13 @@ def _releases(suite: FrozenSuite, folder: Location, kind: str) -> list[Release]:
 def _read(suite: FrozenSuite, file: Location, number: int) -> Release:
     table = read_suite_table(file, "scores")
     if table.schema.metadata.get(b"shift3d.suite") != suite.digest.encode():
-        remedy = "Give releases=DIR of this suite, or the suite that it was accepted on"
+        remedy = "Give releases=DIR of this suite, or the suite that the release was accepted on"
         raise InputError("was accepted on another suite", str(file), remedy)
     release = _release(table.to_pandas(), number)
     if release is None or list(release.scores) != list(suite.objects["object_id"]):
-        raise InputError("has not the suite's objects", str(file), "Restore it from a copy, or remove it")
+        raise InputError(
+            "does not hold exactly the suite's objects", str(file), "Restore the file from a copy, or remove it"
+        )
     return release
 
 

@@ -71,7 +71,9 @@ def score_suite(suite: FrozenSuite, scorer: Scorer, folder: Location, workers: i
     for name in names:
         if name in missing:
             files[name].write_atomic(suite_table_bytes(suite_table("answers", next(coming))))
-        yield read_suite_table(files[name], "answers", remedy="Remove it: it is scored again").to_pandas()
+        yield read_suite_table(
+            files[name], "answers", remedy="Remove the file: the next run scores its objects again"
+        ).to_pandas()
 
 
 def _answers(opened: tuple[FrozenSuite, Scorer], name: str) -> list[dict[str, str | float]]:

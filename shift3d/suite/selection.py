@@ -60,7 +60,7 @@ def select_solutions(sweep: Location, choice: SelectionRule) -> Selection:
     rows = scores[scores["method"] == choice.method]
     if rows.empty:
         methods = ", ".join(sorted(scores["method"].unique()))
-        raise InputError(f"has no method {choice.method!r}", where, f"One of: {methods}")
+        raise InputError(f"has no method {choice.method!r}", where, f"Choose one of: {methods}")
     own = rows[rows["scored_by"] == rows["detector"]]
     eligible, left_out = _eligible(own)
     if eligible.empty:
@@ -78,10 +78,10 @@ def _eligible(rows: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, int]]:
     left_out: dict[str, int] = {}
     for reason, keeps in (
         ("without a score", rows["score"].notna()),
-        ("whose search found nothing valid", rows["status"].ne("no_valid_step") | rows["score"].isna()),
-        ("left as they were", rows["best_step"].ne(0) | (rows["method"] == "baseline")),
-        ("in the way of other points", rows["overlap_ok"].ne(False)),  # null passes
-        ("off the ground", rows["contact_ok"].ne(False)),
+        ("whose search found no valid step", rows["status"].ne("no_valid_step") | rows["score"].isna()),
+        ("unchanged by the search", rows["best_step"].ne(0) | (rows["method"] == "baseline")),
+        ("overlapping other points", rows["overlap_ok"].ne(False)),  # null passes
+        ("without contact to the scene", rows["contact_ok"].ne(False)),
         ("unstable", rows["stable"].ne(False)),
         # The vehicle's original shape passes, however far it is from the reference set.
         ("unnatural", rows["natural"].ne(False) | (rows["mode"] == "pose") | (rows["method"] == "baseline")),

@@ -14,7 +14,7 @@ from shift3d.effects.applicability import IMPACT_BOUND, MeasuredImpact
 from shift3d.methods import METHODS
 
 _LEAST_MS, _LEAST = 0.5, 1e-4
-_MEANING = {True: "auto takes it: its interval reaches the line", False: "auto leaves it out"}
+_MEANING = {True: "effects=auto takes it: its interval reaches the line", False: "effects=auto leaves it out"}
 
 
 def effects_figure(impacts: Mapping[str, MeasuredImpact]) -> Figure:
@@ -32,8 +32,8 @@ def effects_figure(impacts: Mapping[str, MeasuredImpact]) -> Figure:
     axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--", label=f"a change of {IMPACT_BOUND:g}")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlabel(f"milliseconds a rendering, more (less than {_LEAST_MS:g} drawn there)")
-    axes.set_ylabel(f"mean |change of score| (less than {_LEAST:g} drawn there)")
+    axes.set_xlabel(f"extra milliseconds per rendering (drawn at {_LEAST_MS:g} if less)")
+    axes.set_ylabel(f"mean |change of score| (drawn at {_LEAST:g} if less)")
     axes.grid(True, which="major", color="#e4e4e4", lw=0.6)
     axes.set_xlim(_LEAST_MS / 2)  # room for labels of effects that take no time
     handles = {text: handle for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)}
@@ -62,9 +62,11 @@ def stability_figure(verification: pd.DataFrame) -> Figure:
             right.scatter(rows["margin"], least, **style)
     left.plot([0, 1], [0, 1], color="0.6", linewidth=0.8, zorder=0, label="equal")
     left.set(xlabel="score, as reported", ylabel="score at reference accuracy", xlim=(0, 1), ylim=(0, 1))
-    right.axline((0, 0), slope=1, color="0.6", linewidth=0.8, zorder=0, label="all of it is kept")
-    right.axline((0, 0), slope=0.5, color="0.6", linewidth=0.8, linestyle="--", zorder=0, label="half is kept")
-    right.set(xlabel="baseline's score minus the solution's", ylabel="least of it under noise and off the pose")
+    right.axline((0, 0), slope=1, color="0.6", linewidth=0.8, zorder=0, label="full margin kept")
+    right.axline((0, 0), slope=0.5, color="0.6", linewidth=0.8, linestyle="--", zorder=0, label="half of it kept")
+    right.set(
+        xlabel="margin: baseline's score minus the solution's", ylabel="smallest margin under noise and pose offset"
+    )
     for axes in (left, right):
         if axes.get_legend_handles_labels()[0]:
             axes.legend(frameon=False)

@@ -35,7 +35,7 @@ class _Panel:
 
 
 _PANELS = (
-    _Panel("error of a beam's depth, every failure counted", effective_error_m, length, 1e-9),
+    _Panel("depth error of a beam, failures included", effective_error_m, length, 1e-9),
     _Panel("hits missed or on a wrong surface", misplaced_share, share, 1e-5),
 )
 
@@ -84,7 +84,7 @@ def _groups(rows: pd.DataFrame, name: str) -> list[tuple[str, pd.DataFrame]]:
     if rows.empty:
         raise ValueError(f"no setting was measured on the scenes {name!r}")
     ready = rows["gradient"].isin(["shape", "pose"])
-    parts = [(name, rows[~ready]), (f"{name}, ready for a gradient", rows[ready])]
+    parts = [(name, rows[~ready]), (f"{name}, with gradient", rows[ready])]
     return [(title, part) for title, part in parts if len(part)]
 
 
@@ -147,7 +147,7 @@ def _label_times(pair: Sequence[Axes], rows: pd.DataFrame, name: str) -> None:
     left.set_yticks(_ticks(low, high))
     left.yaxis.set_major_formatter(FuncFormatter(lambda value, _: milliseconds(value)))
     left.yaxis.set_minor_formatter(NullFormatter())
-    left.set_ylabel("time of a rendering (median, quartiles)", fontsize=9)
+    left.set_ylabel("rendering time (median, quartiles)", fontsize=9)
     paper_ms = float(rows["ms_median"].iloc[0] * rows["ratio_to_paper"].iloc[0])
     if math.isfinite(paper_ms):
         _label_ratios(right, paper_ms, low, high)
@@ -184,9 +184,9 @@ def _legend(figure: Figure, frame: pd.DataFrame, styles: dict[str, Style], same:
         entries.append(Line2D([], [], color=style.colour, marker=style.marker, ms=size, ls=line, lw=1.3, label=label))
     black: dict[str, Any] = {"color": "black", "marker": "o", "mfc": "white", "ls": "none"}
     entries.append(Line2D([], [], ms=6, label="hollow: dominated", **black))
-    entries.append(Line2D([], [], ms=10, mew=1.5, label="ring: renders the same as what it surrounds", **black))
+    entries.append(Line2D([], [], ms=10, mew=1.5, label="ring: renders the same as the setting inside", **black))
     if same:
-        entries.append(Line2D([], [], ls="none", label=f"render as the presets: {', '.join(same)}"))
+        entries.append(Line2D([], [], ls="none", label=f"render the same as presets: {', '.join(same)}"))
     figure.legend(handles=entries, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
 
 

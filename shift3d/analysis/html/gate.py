@@ -17,14 +17,14 @@ from shift3d.analysis.statistics.releases import SimulatedRates
 from shift3d.analysis.tables.gate import Comparison, measures_table, power_table, simulation_table, worst_table
 
 _MEANING = {
-    "hard object": "a solution of the sweep, in its scene, frozen when the suite was made",
-    "control": "the unchanged vehicle of the same task, in the same scene",
-    "score": "of the best box within the detection radius of the object's centre; 0 without one",
-    "recall": "share of the objects whose score is above score_threshold",
-    "lost": "detected by the last release alone",
-    "test": "before and after change places in random scenes, all measures together; p is the share of 10,000 such "
-    "draws, or of every pattern of 13 scenes or fewer, in which the largest of the measures' losses is as large as the "
-    "one that was found",
+    "hard object": "a solution of the sweep, frozen with its scene when the suite was made",
+    "control": "the unchanged vehicle of the same task and scene",
+    "score": "score of the best box within the detection radius of the object's centre; 0 without such a box",
+    "recall": "share of the objects with a score above score_threshold",
+    "lost": "detected by the release before, but not by the new weights",
+    "test": "each draw swaps before and after in random scenes, for all measures together; p is the share of 10,000 "
+    "draws (of all patterns for 13 scenes or fewer) in which the largest standardised loss of any measure is at least "
+    "that of this measure",
 }
 
 
@@ -46,9 +46,9 @@ def gate_html(
     verdict += [measures_table(found)]
     sure: list[Block] = [
         Paragraph(
-            "Objects whose score lies near the threshold change sides between any two trainings. The more of them "
-            "there are, the more objects it takes to see a loss. The table holds for independent objects and for the "
-            "test of recall alone; the simulation below is of the whole test on these objects."
+            "Any two trainings move some objects with a score near the threshold across it. The more such objects a "
+            "suite has, the more objects it needs to show a loss. The first table is for independent objects and the "
+            "test of recall alone; the second simulates the whole test on these objects."
         ),
         power_table(len(found.measures), found.rule.level),
         simulation_table(rates),
@@ -56,12 +56,12 @@ def gate_html(
     worst = [*_articles(found, views), *filter(None, [worst_table(found)])]
     sections = [
         Section("verdict", "Verdict", verdict),
-        Section("worst", "What got worse, worst first", worst),
-        Section("scores", "Every object before and after", [_scatter(found)]),
-        Section("power", "What this suite can show", sure),
+        Section("worst", "Lower scores, worst first", worst),
+        Section("scores", "Every object, before and after", [_scatter(found)]),
+        Section("power", "Losses that this suite can show", sure),
         Section("compared", "What was compared", [Terms(facts), Terms(_MEANING)]),
     ]
-    return document("shift3d: gate", sections, "New weights on a suite of hard objects.", plotly_library())
+    return document("shift3d: gate", sections, "Scores of new weights on a suite of hard objects.", plotly_library())
 
 
 def _articles(found: Comparison, views: Mapping[str, FrozenView]) -> list[Block]:
@@ -77,7 +77,7 @@ def _articles(found: Comparison, views: Mapping[str, FrozenView]) -> list[Block]
 
 
 def _above(key: str, view: FrozenView) -> Plot:
-    traces, best = top_view_traces(view, COLOURS["adversarial"], "object's points")
+    traces, best = top_view_traces(view, COLOURS["adversarial"], "points on the object")
     caption = f"From above, scene frame: {best}"
     return square_plot(key, traces, caption, caption, view.box[:2], 10.0)
 
@@ -86,7 +86,7 @@ def _side(key: str, view: FrozenView) -> Plot:
     half, top, bottom = view.box[3] / 2.0, view.box[2] + view.box[5] / 2.0, view.box[2] - view.box[5] / 2.0
     edge = {"x": [-half, half, half, -half, -half], "y": short([bottom, bottom, top, top, bottom])}
     box = {"type": "scatter", "mode": "lines", **edge, "name": "ground truth"}
-    own = dots(view.object_side, COLOURS["adversarial"], 3, "object's points")
+    own = dots(view.object_side, COLOURS["adversarial"], 3, "points on the object")
     traces = [dots(view.scene_side, "#8a8a8a", 2, "scene"), own, {**box, "line": {"color": "#2f9e44", "dash": "dash"}}]
     caption, middle = "From the side, front to the right", np.array([0.0, 1.0])
     return square_plot(key, traces, caption, caption, middle, 5.0, names=("along, m", "height, m"))
@@ -109,9 +109,9 @@ def _scatter(found: Comparison) -> Plot:
     shapes = [{**limit, "x0": t, "x1": t, "y0": 0, "y1": 1}, {**limit, "y0": t, "y1": t, "x0": 0, "x1": 1}]
     layout = {
         "xaxis": axis("score before", range=[-0.02, 1.02], constrain="domain"),
-        "yaxis": axis("score", range=[-0.02, 1.02], scaleanchor="x", constrain="domain"),
+        "yaxis": axis("score after", range=[-0.02, 1.02], scaleanchor="x", constrain="domain"),
         "shapes": shapes,
         "legend": LEGEND_BELOW,
     }
-    caption = "Below the line: worse. Dotted: the threshold; lower right of it: lost"
+    caption = "Below the line: lower score. Dotted: the score threshold. Lower right quadrant: lost"
     return plot("scores", traces, layout, "Scores before and after", caption, 520)

@@ -37,7 +37,7 @@ def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
     sections: list[Section] = []
     for (scenes, table), text in zip(settings_tables(frame, headers), advice(frame).split("\n\n")):
         diagram = png(work_precision_figure(frame, scenes))
-        picture = Picture(diagram, f"Time of a rendering against its error, {scenes} scenes")
+        picture = Picture(diagram, f"Rendering time against error, {scenes} scenes")
         sections.append(Section(f"scenes-{len(sections)}", scenes, [Paragraph(text), picture, table]))
     explained: list[Block] = [Paragraph(RULE), Terms(meanings(headers))]
     sections.append(Section("meaning", "What the numbers mean", explained))
@@ -55,7 +55,7 @@ def write_frontier_report(folder: Path) -> str:
     """
     table = read_frontier(folder / "frontier.parquet")
     if not table.num_rows:
-        raise InputError("holds no setting", str(folder / "frontier.parquet"), "Run make frontier again")
+        raise InputError("contains no setting", str(folder / "frontier.parquet"), "Run make frontier again")
     frame = table.to_pandas()
     text = advice(frame)
     write_atomic(folder / "advice.txt", f"{text}\n".encode())
@@ -76,7 +76,9 @@ def write_stability_page(path: LocationLike, sweep: str, scores: pd.DataFrame, v
     Raises: InputError: the disk is full or not writable.
     """
     blocks = stability_blocks(verification, shown=None)
-    return _written(path, f"Stability of {sweep}", [Section("stability", "Scored again", blocks)], diagnostics(scores))
+    return _written(
+        path, f"Stability of {sweep}", [Section("stability", "Solutions scored again", blocks)], diagnostics(scores)
+    )
 
 
 def _written(path: LocationLike, title: str, sections: Sequence[Section], lead: str = "") -> Location:

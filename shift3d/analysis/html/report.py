@@ -47,13 +47,13 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         ),
         ("cases", "The hard cases", lambda: hard_cases(sweep, loaded, cases)),
         ("gallery", "Gallery", lambda: gallery(sweep, loaded)),
-        ("budgets", "How hard vehicles get that stay vehicles", lambda: budgets(found)),
+        ("budgets", "Score against the naturalness budget", lambda: budgets(found)),
         ("sensors", "Sensor or detector", lambda: sensors(sweep)),
         ("auc", "Area under the curve", lambda: auc(sweep, found)),
         ("curves", "Threshold-recall curves", lambda: curves(found)),
         ("bev", "Where the score falls", lambda: bev(sweep, found)),
-        ("transfer", "In other scenes, at other places", lambda: transfer_grid(sweep, found)),
-        ("paths", "The score along the steps", lambda: paths(sweep, found)),
+        ("transfer", "Shapes in other scenes", lambda: transfer_grid(sweep, found)),
+        ("paths", "Score by search step", lambda: paths(sweep, found)),
         ("patterns", "What attacks change", lambda: patterns(sweep)),
         ("rules", "What the missed objects share", lambda: rules(sweep)),
         ("retrieval", "Natural kin", lambda: retrieval(sweep, loaded)),
@@ -62,14 +62,14 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         ("stability", "Stability", lambda: stability(sweep)),
         ("accuracy", "Accuracy against time", lambda: accuracy(sweep)),
         ("effects", "Effects", lambda: effects(sweep)),
-        ("run", "What was run", lambda: overview(sweep)),
+        ("run", "Settings and versions", lambda: overview(sweep)),
         ("coverage", "Failures and coverage", lambda: coverage(sweep)),
     ]
     lead = (
-        f"{counted(len(plan.tasks), 'attack')} on a LiDAR vehicle detector: a vehicle is inserted into a scene, "
-        "and its shape or pose is changed, by the detector's gradient, until the detector misses it."
+        f"{counted(len(plan.tasks), 'attack')} on a LiDAR vehicle detector. An attack inserts a vehicle into a scene "
+        "and searches for a shape or pose with a lower detection score."
     )
-    bar = progress_bar(sections, desc="parts of the page", leave=False)
+    bar = progress_bar(sections, desc="page sections", leave=False)
     shown = [Section(key, title, blocks) for key, title, make in bar if (blocks := make())]
     return document(f"shift3d: {plan.sweep}", shown, lead, plotly_library())
 

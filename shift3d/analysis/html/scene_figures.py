@@ -35,7 +35,7 @@ def paired_3d_views(key: str, case: Case, before: Rendered, after: Rendered) -> 
     views = []
     for name, other, rendered, mesh in zip(_PAIR, reversed(_PAIR), (before, after), meshes):
         label = f"3D view of the {case.vehicle.replace('_', ' ')}, {name}, score {rendered.score:.2f}"
-        caption = f"{name.capitalize()}: score {rendered.score:.3f}, {rendered.object_points} points on it"
+        caption = f"{name.capitalize()}: score {rendered.score:.3f}, {rendered.object_points} points on the vehicle"
         traces = [_trace(*mesh, COLOURS[name])]
         views.append(plot(f"{key}-{name}", traces, layout, label, caption, 300, pair=f"{key}-{other}"))
     return Panels(views), TurnButtons(f"{key}-baseline", "both vehicles")
@@ -69,7 +69,7 @@ def top_views(key: str, case: Case, before: Rendered, after: Rendered, centre_xy
     views = []
     for name, rendered in zip(_PAIR, (before, after)):
         colour = COLOURS["adversarial" if name == "adversarial" else "random"]
-        traces, best = top_view_traces(rendered, colour, "vehicle's points")
+        traces, best = top_view_traces(rendered, colour, "points on the vehicle")
         label = f"The scene from above, {case.vehicle.replace('_', ' ')} {name}: {best}"
         away = float(np.hypot(*rendered.theta[:2]))
         caption = f"{name.capitalize()}: {best}; sensor frame, {away:.1f} m from the sensor"

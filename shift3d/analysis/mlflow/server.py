@@ -26,7 +26,7 @@ def open_port(port: int) -> socket.socket:
     except (OSError, OverflowError) as error:
         listening.close()
         reason = getattr(error, "strerror", None) or str(error)
-        remedy = "Give another: --port 0 takes any that is free"
+        remedy = "Give another port; --port 0 takes any free port"
         raise InputError(f"port {port} cannot be opened ({reason})", where=HOST, remedy=remedy) from error
     return listening
 

@@ -29,7 +29,7 @@ def check_store(uri: str, where: str = "tracking.uri") -> None:
     Raises: InputError: names the valid schemes, or the folder.
     """
     if not uri:
-        raise InputError("no store is named", where=where, remedy="Give one, as sqlite:///mlflow.db")
+        raise InputError("no MLflow store is given", where=where, remedy="Give a store, such as sqlite:///mlflow.db")
     parts = urlsplit(uri)
     scheme = parts.scheme.partition("+")[0]  # mysql+pymysql: the database and its driver
     if not scheme:

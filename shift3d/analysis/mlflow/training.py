@@ -47,7 +47,7 @@ class TrainingCurves:
         if self.problem is None and run_id is not None:
             self.problem = attempt(lambda: open_client(self.uri).set_terminated(run_id, "FINISHED"))
         if self.problem:
-            write_line(f"warning: the curves are not all in MLflow ({self.uri}): {self.problem}")
+            write_line(f"warning: MLflow lacks some of the curves ({self.uri}): {self.problem}")
 
     def _write(self) -> None:
         client = open_client(self.uri)

@@ -86,7 +86,7 @@ def auc_table(variant: Variant, in_full: bool = False) -> Table:
     if in_full:
         title += "" if "scored_by" in variant.differing else f", scored by {variant.scored_by}"
         if paper:
-            title += f"; paper: table {paper.name} of its LaTeX source, {variant.detector}, 500 scenes a vehicle"
+            title += f"; paper: table {paper.name} of its LaTeX source, {variant.detector}, 500 scenes per vehicle"
     names = [name.replace("_", " ") for name in vehicles] if in_full else _short(vehicles)
     return Table(title, ["method" if in_full else "", *names, "mean", "of baseline"], lines, kinds)
 

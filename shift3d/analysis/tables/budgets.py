@@ -60,7 +60,7 @@ def budget_table(found: Sequence[Variant]) -> Table | None:
             lines.append([f"{curve.title}, {shown}", *_shapes(variant.rows), *means, *ratios, difference])
     header = ["search, percentile", "natural", "cm", "baseline", "adversarial", "of baseline, random draws",
               "of baseline", "less random draws"]  # fmt: skip
-    title = "AUC against the budget of naturalness; cm: median distance to the nearest known vehicle"
+    title = "AUC by naturalness budget; cm: median distance to the nearest known vehicle"
     return Table(title, header, lines) if lines else None
 
 

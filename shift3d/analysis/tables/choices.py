@@ -10,7 +10,7 @@ import pandas as pd
 from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import setting_text
 
-MEASURES = {"alpha": "AUC of what was found", "lambda": "mean adversarial loss"}
+MEASURES = {"alpha": "AUC of the solutions", "lambda": "mean adversarial loss"}
 # Copied from the paper's text: supplement, Hyper-Parameters.
 _PAPER = Path(__file__).resolve().parents[1] / "measured" / "paper_choices.json"
 _OF = ("mode", "vehicle", "detector", "accuracy", "search", "effects", "alpha")

@@ -36,7 +36,7 @@ def sweep_report(sweep: Sweep) -> str:
         "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
         missing_search_scenes(sweep.scores, sweep.timings),
         stage_times(sweep.timings, sweep.scores) if len(sweep.timings) else "no timings",
-        "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
+        "\n".join(["Audit and time by accuracy", *accuracy_cost(sweep.scores, sweep.timings)]),
         f"{preset_table()}\n{legend(preset_meanings())}",
         diagnostics(sweep.scores),
     ]
@@ -65,7 +65,7 @@ def small_sweep_warning(tasks: Tasks) -> str | None:
         return None
     datasets = {dataset for dataset, _ in scenes}
     command = 'make sweep SWEEP=kitti ARGS="scenes.root=PATH"' if datasets == {"kitti"} else "make sweep"
-    return f"A trial: these AUCs mean nothing, with {' and '.join(reasons)}. AUCs that do: {command}"
+    return f"A trial: these AUCs mean nothing, with {' and '.join(reasons)}. For meaningful AUCs: {command}"
 
 
 def no_placement_message(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | None:
@@ -76,13 +76,14 @@ def no_placement_message(scores: pd.DataFrame, settings: Mapping[str, Any]) -> s
     if scores.empty or not scores["status"].eq("no_placement").all():
         return None
     tasks = scores["task_id"].nunique()
-    which = "its one task has" if tasks == 1 else f"all {tasks} tasks have"
+    which = "the one task has" if tasks == 1 else f"all {tasks} tasks have"
     place = settings["attack"]["placement"]
     return (
-        f"no vehicle found a place: {which} no score. Each tried {counted(place['attempts'], 'place')} of at least "
-        f"{counted(place['min_object_points'], 'point')}, {place['min_range_m']:g} to {place['max_range_m']:g} m away, "
-        f"that touch the scene ({place['contact_m']:g} m) and nothing in it ({place['overlap_m']:g} m). Widen "
-        "attack.placement.min_object_points, .min_range_m, .max_range_m or .attempts, or take other scenes"
+        f"no vehicle found a place, so {which} no score. Each task tried {counted(place['attempts'], 'place')}. "
+        f"A place needs at least {counted(place['min_object_points'], 'point')} on the vehicle, a range of "
+        f"{place['min_range_m']:g} to {place['max_range_m']:g} m, a scene point within {place['contact_m']:g} m of the "
+        f"vehicle, and none more than {place['overlap_m']:g} m inside it. Widen attack.placement.min_object_points, "
+        ".min_range_m, .max_range_m or .attempts, or choose other scenes"
     )
 
 
@@ -100,8 +101,8 @@ def unresponsive_detectors(scores: pd.DataFrame) -> str | None:
     if not names:
         return None
     return (
-        f"{' and '.join(names)}: in every task all changes of the vehicle leave the score as it was. Is the vehicle "
-        "seen at all? Check frame, units and range of the detector's points and boxes (docs/guides/detectors.md)"
+        f"{' and '.join(names)}: in every task, no change of the vehicle changes the score. Does the detector see the "
+        "vehicle at all? Check frame, units and range of the detector's points and boxes (docs/guides/detectors.md)"
     )
 
 
@@ -135,7 +136,7 @@ def missing_search_scenes(scores: pd.DataFrame, timings: pd.DataFrame) -> str:
     if not left_out.any():
         return ""
     return (
-        f"{(left_out > 0).sum()} of {counted(len(found), 'universal shape')} searched in fewer scenes than asked for: "
+        f"{(left_out > 0).sum()} of {counted(len(found), 'universal shape')} searched in fewer scenes than requested: "
         f"{left_out.sum()} of {counted(requested.sum(), 'other scene')} had no room for the vehicle"
     )
 
@@ -163,4 +164,4 @@ def stage_times(timings: pd.DataFrame, scores: pd.DataFrame) -> Table:
         for stage in stages.itertuples():
             share = f"{stage.milliseconds / total:.0%}"
             lines.append([str(mode), str(stage.Index), f"{stage.milliseconds:.0f}", share, f"{stage.calls:.3g}"])
-    return Table("Time a task", ["mode", "stage", "ms", "share", "calls"], lines)
+    return Table("Time per task", ["mode", "stage", "ms", "share", "calls"], lines)

@@ -48,7 +48,7 @@ def summary_table(title: str, rows: Sequence[BreakdownRow]) -> Table:
         mean, middle, spread = (known[f"error_{error}", statistic] for statistic in ("mean", "median", "std"))
         others = [number(middle.value), number(spread.value), str(mean.number)]
         lines.append([name, number(mean.value), _interval(mean), *others])
-    note = "LEVEL_1, 0-75 m, IoU 0.7; errors are means, found less true; intervals: 95 %, scenes resampled"
+    note = "LEVEL_1, 0-75 m, IoU 0.7; errors are means of detected minus true; intervals: 95 %, scenes resampled"
     return Table(f"{title}\n{note}", ["", "value", "interval", "median", "std", "number"], lines)
 
 

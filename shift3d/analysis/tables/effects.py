@@ -28,9 +28,10 @@ _OBJECT = ["vehicle", "dataset", "scene", "detector", "accuracy", *PLACE]
 _PAIR = [*_OBJECT, "mode", "lambda", "alpha", "search", "scored_by", "method", "replicate"]
 MEANINGS = {
     "|change|": "mean absolute change of the unchanged vehicle's score, with its 95 % interval (scenes resampled)",
-    "AUC": "change of the mean score, baseline and adversarial (searched again under the effect), likewise",
-    "ms": "what one rendering costs more; what is done once for a scene is not in it",
-    "auto": f"whether the change cannot be said to lie below {IMPACT_BOUND:g}: only then does effects=auto take it",
+    "AUC": "change of the mean score of the baseline and of the adversarial object (searched again under the effect), "
+    "with its 95 % interval",
+    "ms": "extra time of one rendering, without work that is done once for a scene",
+    "auto": f"whether effects=auto takes the effect: yes unless the interval of |change| is below {IMPACT_BOUND:g}",
 }
 
 
@@ -68,7 +69,7 @@ def effect_impacts(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> l
     found = [name for name in NEEDS if (scored["effect"] == name).any()]
     if plain.empty or not found:
         remedy = "Run sweeps/effects.yaml: make sweep SWEEP=effects"
-        raise InputError("no tasks with and without one effect", "the sweep", remedy)
+        raise InputError("no tasks without effects beside tasks with exactly one effect", "the sweep", remedy)
     return [_impact(name, scored[scored["effect"] == name], plain, milliseconds.get(name, nan)) for name in found]
 
 
@@ -79,12 +80,12 @@ def _by_effect(scores: pd.DataFrame) -> pd.DataFrame:
 
 def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseconds: float) -> EffectImpact:
     if with_effect.duplicated(_PAIR).any() or plain.duplicated(_PAIR).any():
-        what = "tasks differ in more than effects, places and what the tables hold: no object has one partner"
+        what = "tasks differ in settings that the tables do not hold, so objects have several partners"
         raise InputError(what, "the sweep", "Run it with one value of every other setting")
     pairs = with_effect.merge(plain, on=_PAIR, suffixes=("", "_plain"))
     if pairs.empty:
         raise InputError(
-            f"no object was scored both with {name} and without", "the sweep", "Run both on the same scenes"
+            f"no object was scored both with {name} and without it", "the sweep", "Run both on the same scenes"
         )
     # Tasks of several modes, lambdas or alphas share one baseline.
     pairs = pairs[~(pairs["method"].eq("baseline") & pairs.duplicated([*_OBJECT, "method"]))]

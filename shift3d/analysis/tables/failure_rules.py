@@ -69,7 +69,7 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     objects = objects[objects[known].notna().all(axis=1)]
     scenes, vehicles = (sorted(objects[name].unique()) for name in ("place", "vehicle"))
     if len(scenes) < _LEAST_SCENES:
-        what = f"{counted(len(scenes), 'scene')} with scored objects: too few to find rules on and to try them"
+        what = f"{counted(len(scenes), 'scene')} with scored objects: too few to find rules and to test them"
         remedy = f"Give scenes.count={_LEAST_SCENES} or more; frames of one segment or log count once"
         raise InputError(what, "failure rules", remedy)
     here = objects["place"].isin(scenes[::2])
@@ -107,7 +107,7 @@ def left_out(objects: pd.DataFrame) -> str | None:
     if not lacking:
         return None
     which = "is" if lacking == 1 else "are"
-    return f"{lacking} of {counted(len(objects), 'scored object')} {which} left out: their sizes are not known"
+    return f"{lacking} of {counted(len(objects), 'scored object')} {which} left out: their sizes are unknown"
 
 
 def rule_objects(sweep: Sweep) -> pd.DataFrame:
@@ -161,8 +161,8 @@ def rules_table(rules: list[TriedRule]) -> Table:
         cells = [_difference_text(found) for found in (tried.found, *tried.tried.values())]
         words = f"{'else ' if lines else ''}{rule_text(tried.rule)}"
         lines.append([words, str(tried.objects), *cells, "yes" if tried.confirmed else "no"])
-    header = ["", "objects", "AUC against the others", *(rules[0].tried if rules else ()), "holds"]
-    return Table("Failure rules: what the objects that are missed share", header, lines)
+    header = ["", "objects", "score minus others'", *(rules[0].tried if rules else ()), "holds"]
+    return Table("Failure rules: what the missed objects share", header, lines)
 
 
 def _difference_text(found: Interval | None) -> str:

@@ -94,12 +94,12 @@ class Comparison:
         number, least = self.number("hard"), self.detectable
         detected = int(self._of("hard")["detected_before"].sum())
         if least is None:
-            shown = "a loss of any size is missed in more than one release of ten"
+            shown = "the gate misses a loss of any size in more than one release of ten"
         elif least * number > detected:
-            shown = f"of which {detected} were detected before, no loss of recall can be shown"
+            shown = f"of which {detected} were detected before, the gate can show no loss of recall"
         else:
-            shown = f"a loss of {100 * least:.1f} points of recall would be found in 90 % of releases"
-            shown += " if objects are independent; objects of one scene are not"
+            shown = f"the gate would find a loss of {100 * least:.1f} points of recall in 90 % of releases"
+            shown += " if objects were independent; objects of one scene are not"
         return f"No loss found against {against}: {counts}. With {counted(number, 'hard object')}, {shown}."
 
 
@@ -147,7 +147,7 @@ def measures_table(found: Comparison) -> Table:
     ]
     header = ["measure", "before", "after", "change (95 % interval)", "p of a loss", ""]
     title = (
-        f"Scores above {found.rule.score_threshold:g} are detections; p-values are corrected for there being several"
+        f"Scores above {found.rule.score_threshold:g} are detections; p-values are corrected for the number of measures"
     )
     return Table(title, header, lines, ["worst" if line[-1] else "" for line in lines])
 
@@ -172,7 +172,7 @@ def worst_table(found: Comparison, most: int = 40) -> Table | None:
         ]
         for rank, row in enumerate(rows.head(most).to_dict("records"), start=1)
     ]
-    more = f"; the {most} worst are shown, the rest is in gate.parquet" if len(rows) > most else ""
+    more = f"; the {most} worst are shown, gate.parquet has all" if len(rows) > most else ""
     header = ["", "role", "vehicle", "scene", "range, m", "points", "before", "after", "", "object"]
     return Table(f"{counted(len(rows), 'object')} with a lower score{more}", header, lines)
 
@@ -183,8 +183,8 @@ def power_table(measures: int, level: float) -> Table:
     for churn in _CHURNS:
         needed = [objects_needed(_LOSS, churn, power, level / measures) for power in _POWERS]
         lines.append([f"{100 * churn:g} %", *("more than a million" if n is None else f"{n:,}" for n in needed)])
-    header = ["lost and gained without a loss, each", *(f"{power:.0%} power" for power in _POWERS)]
-    return Table(f"Hard objects that show a loss of {100 * _LOSS:g} points of recall, at most", header, lines)
+    header = ["lost and gained by chance, each", *(f"{power:.0%} power" for power in _POWERS)]
+    return Table(f"Hard objects needed to show a loss of {100 * _LOSS:g} points of recall, at most", header, lines)
 
 
 def simulated_rates(found: Comparison) -> list[SimulatedRates]:
@@ -202,10 +202,10 @@ def simulation_table(rates: Sequence[SimulatedRates]) -> Table:
             f"{rate.churn:g}",
             f"{rate.lost:.1%}",
             f"{rate.false_alarms:.1%}",
-            "too few are detected" if rate.found is None else f"{rate.found:.1%}",
+            "too few detected" if rate.found is None else f"{rate.found:.1%}",
         ]
         for rate in rates
     ]
-    header = ["noise of the logits", "hard objects lost without a loss", "stopped without a loss", "stopped with it"]
-    title = f"200 simulated releases of these objects, without a loss and with {100 * _LOSS:g} points of recall"
+    header = ["noise of the logits", "hard objects lost by chance", "stopped without a loss", "stopped with a loss"]
+    title = f"200 simulated releases of these objects, without and with a loss of {100 * _LOSS:g} points of recall"
     return Table(title, header, lines)

@@ -136,5 +136,5 @@ def patterns_table(title: str, patterns: list[Pattern]) -> Table:
         texts += [change, number(found.size, found.digits + 1), f"{found.fell:.0%}", f"{found.rose:.0%}"]
         few = f"fewer than {_LEAST_SCENES} scenes"
         lines.append([*texts, few if found.scenes < _LEAST_SCENES else "yes" if found.clear else "no"])
-    header = ["", "solutions", "baseline", "change", "size of change", "less", "more", "clear of 0"]
+    header = ["", "solutions", "baseline", "change", "|change|", "less", "more", "excludes 0"]
     return Table(title, header, lines)

@@ -136,7 +136,7 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
         return Table("No vehicle of the pool is near enough to a shape", ["", "retrieved"], [["", "0"]])
     header = ["", "scored by", "near enough", "baseline", "shape", "retrieved", "controls"]
     header += ["retrieved less baseline", "retrieved less controls", "the same in the log"]
-    return Table("The shapes' natural kin, put in their place", header, lines)
+    return Table("Natural kin at the places of the shapes", header, lines)
 
 
 def _mean(values: pd.Series, places: pd.Series, others: pd.Series | None = None) -> str:

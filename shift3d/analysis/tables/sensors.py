@@ -32,7 +32,7 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
         fell = rows["score"] < rows["score_baseline"]
         lines.append([search_label(*search), scored_by, *counts, *means, ratio, f"{fell.mean():.0%}"])
     header = ["", "scored by", "placements", "scenes", "baseline", "shape", "ratio", "lower in"]
-    return Table("The shapes in scenes that they were not searched in", header, lines)
+    return Table("Adversarial shapes in scenes other than those of their search", header, lines)
 
 
 def _vehicle_mean(rows: pd.DataFrame) -> float:
@@ -106,7 +106,7 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
                     "-" if beams == first else f"{int((missed & missed_first).sum())} of {int(missed_first.sum())}",
                 ]
             )
-    header = ["", "scored by", "beams", "objects", "points", "score", "less first sensor's", "missed",
-              "of first's misses"]  # fmt: skip
-    title = f"The same vehicles at the same places under other beams; missed: a score below {MISSED_BELOW:g}"
+    header = ["", "scored by", "beams", "objects", "points", "score", "minus first sensor's", "missed",
+              "of first sensor's misses"]  # fmt: skip
+    title = f"The same vehicles at the same places under each sensor's beams; missed: a score below {MISSED_BELOW:g}"
     return Table(title, header, lines) if lines else None

@@ -9,16 +9,16 @@ import pandas as pd
 from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import differing_settings
 from shift3d.methods import METHODS
+from shift3d.wording import counted
 
 MEANINGS = {
-    "verified": "solutions that were scored again",
-    "unstable": "of these, score or margin to the baseline more than 0.02 from that at reference accuracy (float64)",
-    "stable": "share of the others",
-    "|score - ref|": "largest difference of a score from that at reference accuracy",
-    "again": "scored again at the sweep's accuracy, the share that came out the same bit for bit",
-    "robust": "share that keeps at least half of its margin, or loses at most 0.02 of it, under noise of 2 cm along "
-    "the beams on the object, and a little off its pose (1 cm, 0.1 degrees), in every draw; the baseline gets the same "
-    "draws",
+    "verified": "number of solutions that were scored again",
+    "unstable": "of these, score or margin to the baseline differs by more than 0.02 from reference accuracy (float64)",
+    "stable": "share of the verified solutions that are not unstable",
+    "|score - ref|": "largest difference between a score and the score at reference accuracy",
+    "again": "share whose score, computed again at the sweep's accuracy, is the same bit for bit",
+    "robust": "share that keeps at least half of its margin, or loses at most 0.02, in every draw of noise (2 cm along "
+    "the beams on the object) and of a pose offset (1 cm, 0.1 degrees); the baseline gets the same draws",
 }
 _GROUP = ["method", "mode", "lambda", "scored_by", "settings"]
 
@@ -28,7 +28,7 @@ def stability_lines(verification: pd.DataFrame) -> str:
     parts = [str(stability_table(verification))]
     if unstable := unstable_lines(verification, shown=10):
         count = int((~verification["stable"]).sum())
-        parts.append("\n".join([f"{count} unstable", *(f"  {line}" for line in unstable)]))
+        parts.append("\n".join([counted(count, "unstable solution"), *(f"  {line}" for line in unstable)]))
     return "\n\n".join(parts)
 
 

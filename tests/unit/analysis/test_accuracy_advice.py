@@ -17,24 +17,25 @@ def test_the_advice_cites_the_numbers_that_follow_from_the_rows() -> None:
     for sentence in (
         "On the street scenes (10 renderings, 10,000 hits) draft takes 1 ms, standard 2 ms, paper 800 ms and "
         "reference 5 s a rendering.",
-        "The default, standard, is 400 times as fast as paper as published (100 times on the sphere's chord alone), "
-        "and misses or misplaces none of the hits where paper does 0.5 %.",
-        "Its depths are within 1 µm for half of the hits, 10 µm for 99 % and 460 µm for all; of the chords of 2 cm or "
-        "more it misses none; the cosine of its gradient with reference's is 0.9995, and the AUC moves by -0.002.",
-        "with 1 m for a beam that is misplaced, its error is at most 10 µm a beam.",
-        "One preset down, draft, saves 50 % of the time, for an error of 2 mm instead of 10 µm and 0.1 % of the hits "
-        "misplaced instead of none.",
-        "One preset up, reference, takes 2,500 times the time, for an error of 0 instead of 10 µm.",
+        "The default, standard, is 400 times as fast as paper as published (100 times as fast as paper on the "
+        "sphere's chord only), and misses or misplaces none of the hits; paper misses or misplaces 0.5 %.",
+        "Its depth error is at most 1 µm for half of the hits, 10 µm for 99 % and 460 µm for all; it misses none of "
+        "the hits whose chord is 2 cm or longer; the cosine between its gradient and reference's is 0.9995, and the "
+        "AUC changes by -0.002.",
+        "counts 1 m for each misplaced beam, its error is at most 10 µm per beam.",
+        "The faster preset, draft, saves 50 % of the time, with an error of 2 mm instead of 10 µm and 0.1 % of the "
+        "hits misplaced instead of none.",
+        "The more accurate preset, reference, takes 2,500 times the time, with an error of 0 instead of 10 µm.",
         "standard takes 0.5 ms: 4 times as fast as cold and 1,600 times as fast as paper as published.",
-        "A whole attack step in standard takes 25 ms, 320 times as fast as the published way.",
-        "The front has its knee at standard (2 ms, error 10 µm): the next faster setting on it, draft, saves 50 % of "
-        "the time for 200 times the error, and the next more accurate, reference, takes 2,500 times the time for an "
+        "A whole attack step with standard takes 25 ms, 320 times as fast as the published step.",
+        "The knee of the Pareto front is standard (2 ms, error 10 µm): the next faster setting, draft, saves 50 % of "
+        "the time at 200 times the error; the next more accurate setting, reference, takes 2,500 times the time at an "
         "error of 0.",
         # Their error is 20, 10, 5 and 6 mm: draft is more accurate than all of them, and standard slower.
-        "by draft: march 0.1 m to march 0.4 m (100 to 400 times), paper (800 times).",
+        "draft dominates march 0.1 m to march 0.4 m (100 to 400 times), paper (800 times).",
     ):
         assert sentence in text
-    assert "quartiles" not in text and "not on the front" not in text
+    assert "quartiles" not in text and "not on the Pareto front" not in text
 
 
 def test_a_preset_behind_the_front_and_a_tie_in_time_are_said() -> None:
@@ -43,8 +44,8 @@ def test_a_preset_behind_the_front_and_a_tie_in_time_are_said() -> None:
         frontier_row("secant", 1.9, method="secant", **with_depth(1e-5)),
     ]
     text = advice(frame_of(rows))
-    assert "standard is not on the front." in text
-    assert "by secant: standard (1.05 times)." in text
+    assert "standard is not on the Pareto front." in text
+    assert "secant dominates standard (1.05 times)." in text
     assert "For standard the quartiles of the two times overlap" in text
     apart = [rows[0] | {"ms_low": 1.99}, rows[1] | {"ms_high": 1.95}]
     assert "quartiles" not in advice(frame_of(apart))
@@ -53,7 +54,7 @@ def test_a_preset_behind_the_front_and_a_tie_in_time_are_said() -> None:
 def test_settings_between_which_another_is_not_dominated_are_not_one_run() -> None:
     rows = [march(0.4, 10.0, 1e-2), march(0.3, 11.0, 1e-2), march(0.2, 3.0, 1e-6), march(0.1, 12.0, 1e-2)]
     text = advice(frame_of([*rows, march(0.05, 13.0, 1e-2)]))
-    assert "by march 0.2 m: march 0.05 m (4.33 times), march 0.1 m (4 times), march 0.3 m (3.67 times)" in text
+    assert "march 0.2 m dominates march 0.05 m (4.33 times), march 0.1 m (4 times), march 0.3 m (3.67 times)" in text
 
 
 def test_advice_without_presets_without_paper_and_on_two_scene_sets() -> None:
@@ -73,7 +74,7 @@ def test_advice_without_presets_without_paper_and_on_two_scene_sets() -> None:
 def test_the_table_has_the_fastest_first_and_no_column_that_nothing_was_measured_for() -> None:
     table, legend = frontier_lines(frame_of(small_rows())).split("\n\n")
     lines = table.splitlines()
-    assert legend.startswith("time: of one rendering, median; x paper: ")
+    assert legend.startswith("time: median time of one rendering; x paper: ")
     assert [line[:14].strip() for line in lines[3:]] == [
         *("standard, warm", "draft", "standard", "march 0.4 m", "march 0.2 m", "march 0.1 m", "paper", "reference"),
     ]
@@ -107,5 +108,5 @@ def test_a_setting_with_a_gradient_is_no_step_of_the_front_without() -> None:
         frontier_row("reference", 5000.0, preset="reference"),
     ]
     text = advice(frame_of(rows))
-    assert "its knee at standard" in text and "the next more accurate, reference," in text
+    assert "front is standard" in text and "the next more accurate setting, reference," in text
     assert "knee" not in advice(frame_of(rows[:3]))

@@ -146,7 +146,7 @@ def test_a_setting_in_the_place_of_another_is_a_ring_and_a_method_that_renders_a
     rings = [line for line in left.lines if line.get_gid() == RING]
     assert [line.get_xydata().round(9).tolist() for line in rings] == [[[1e-4, 3.0]]]
     entries = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert entries[-1] == "render as the presets: crop" and "crop" not in {
+    assert entries[-1] == "render the same as presets: crop" and "crop" not in {
         entry.split(" (")[0] for entry in entries[:-1]
     }
 
@@ -155,7 +155,7 @@ def test_what_is_ready_for_a_gradient_has_panels_of_its_own() -> None:
     rows = [*small_rows(), frontier_row("standard, warm pose", 3.0, gradient="pose", method="warm", **with_depth(1e-5))]
     figure = work_precision_figure(frame_of(rows), "street")
     assert [axes.get_title(loc="left").split(":")[0] for axes in figure.axes[::2]] == [
-        *("street", "street, ready for a gradient"),
+        *("street", "street, with gradient"),
     ]
     assert {text.get_text() for text in labels_of(figure.axes[2])} == {"standard, warm pose"}
 
@@ -233,7 +233,7 @@ def test_a_report_is_written_from_the_table_alone_with_the_same_bytes(tmp_path: 
         write_table(tmp_path / name / "frontier.parquet", table)
     printed = write_frontier_report(tmp_path / "a")
     assert printed == write_frontier_report(tmp_path / "b")
-    assert "missed: hits that were not found" in " ".join(printed.split())
+    assert "missed: hits that the setting did not find" in " ".join(printed.split())
     a, b = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b"))
     assert a == b and set(a) == {"frontier.parquet", "report.html", "frontier.png", "advice.txt"}
     assert a["frontier.png"].startswith(b"\x89PNG")
@@ -244,7 +244,7 @@ def test_a_report_is_written_from_the_table_alone_with_the_same_bytes(tmp_path: 
     with pytest.raises(InputError, match="no measured frontier"):
         write_frontier_report(tmp_path / "c")
     write_table(tmp_path / "c" / "frontier.parquet", frontier_table([]))
-    with pytest.raises(InputError, match="holds no setting"):
+    with pytest.raises(InputError, match="contains no setting"):
         write_frontier_report(tmp_path / "c")
 
 

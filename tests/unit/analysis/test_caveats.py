@@ -32,7 +32,7 @@ def caveat(name: str, *overrides: str) -> str | None:
 def test_a_search_that_is_cut_short_is_said(words: list[str]) -> None:
     message = caveat(*words)
     assert message and "mean nothing, with a search of 5 steps (the paper's: 40)" in message
-    assert message.endswith("AUCs that do: make sweep")
+    assert message.endswith("For meaningful AUCs: make sweep")
 
 
 def test_too_few_scenes_are_said_whatever_the_search() -> None:
@@ -132,7 +132,7 @@ def test_the_report_begins_with_it(finished: Path) -> None:
     sweep = read_sweep(finished)
     blind = sweep.scores.assign(score=0.5, object_points=range(len(sweep.scores)))
     page = report_page(dataclasses.replace(sweep, scores=blind), cases=0)
-    assert page.index("Is the vehicle seen at all?") < page.index("The hard cases</h2>")
+    assert page.index("Does the detector see the vehicle at all?") < page.index("The hard cases</h2>")
 
 
 def test_the_report_says_at_its_beginning_how_to_find_shapes_that_stay_vehicles(finished: Path) -> None:

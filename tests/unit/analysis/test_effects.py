@@ -64,7 +64,7 @@ def test_replicates_are_paired_with_those_at_their_own_place() -> None:
     (fog,) = effect_impacts(pd.concat([scores, other]), effect_milliseconds(scores, timings))
     assert (fog.scenes, fog.objects) == (12, 24)
     assert fog.score_change.mean == pytest.approx(1e-3) and not fog.measured.matters
-    with pytest.raises(InputError, match="no object has one partner"):
+    with pytest.raises(InputError, match="objects have several partners"):
         effect_impacts(pd.concat([scores, other.assign(x_m=20.0)]), {})
 
 
@@ -96,7 +96,7 @@ def test_one_scene_says_nothing_so_the_effect_stays() -> None:
 
 def test_a_sweep_without_pairs_is_refused() -> None:
     scores, _ = tables({"fog": np.zeros(12)}, {"fog": 1.0})
-    with pytest.raises(InputError, match=r"with and without one effect.*sweeps/effects\.yaml"):
+    with pytest.raises(InputError, match=r"with exactly one effect.*sweeps/effects\.yaml"):
         effect_impacts(scores[scores["effects"].map(len) == 0], {})
     apart = scores[(scores["scene"] == SCENES[0]) ^ (scores["effects"].map(len) == 0)]
     with pytest.raises(InputError, match="scored both with fog and without"):

@@ -218,7 +218,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
 
 def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -> None:
     found = variants(sweep.auc, sweep.scored)
-    assert "No shape was put into another scene" in blocks_html(transfer_grid(sweep, found))
+    assert "put no shape into another scene" in blocks_html(transfer_grid(sweep, found))
     row = found[0].rows.iloc[0]
     group: dict[str, Any] = {name: row[name] for name in ("sweep", "dataset", "vehicle", "mode", "lambda", "alpha",
                                                           "detector", "accuracy", "search", "effects",

@@ -49,8 +49,8 @@ def test_a_search_that_ended_early_stays_at_its_last_score() -> None:
 
 def test_the_best_step_of_a_case_is_named_and_marked() -> None:
     shown = blocks_html([case_path("case-1", path_rows({"a": [0.8, 0.4, 0.2]}))])
-    assert "0.80 at the start, step 1 is the best" in shown and "breaks a constraint" in shown
-    assert "kept no scores" in blocks_html([case_path("case-1", path_rows({"a": [None, None]}))])
+    assert "0.80 at the start; step 1 is the best" in shown and "breaks a constraint" in shown
+    assert "stored no scores" in blocks_html([case_path("case-1", path_rows({"a": [None, None]}))])
 
 
 def test_folders_with_and_without_paths(tmp_path: Path) -> None:
@@ -73,9 +73,9 @@ def test_folders_with_and_without_paths(tmp_path: Path) -> None:
     for folder in (old, new):
         write_final(folder, plan, read_log(folder))
     (old / "final" / "trajectories.parquet").unlink()
-    for folder, message in ((old, "kept no scores along the steps"), (new, "0.900 → 0.400 in 2 steps")):
+    for folder, message in ((old, "stored no scores of search steps"), (new, "0.900 → 0.400 in 2 steps")):
         sweep = read_sweep(folder)
         shown = blocks_html(paths(sweep, variants(sweep.auc, sweep.scored)))
         assert message in shown
     other = [dataclasses.replace(variant, scored_by="sst") for variant in variants(sweep.auc, sweep.scored)]
-    assert "kept no scores" in blocks_html(paths(sweep, other))
+    assert "stored no scores" in blocks_html(paths(sweep, other))

@@ -125,7 +125,7 @@ def test_universal_shapes_that_were_searched_in_fewer_scenes_are_counted() -> No
     stages = ["render", "search_scenes", "search_scenes"]
     timings = pd.DataFrame({"task_id": ["b", "b", "c"], "stage": stages, "calls": [9, 1, 3]})
     assert missing_search_scenes(scores, timings) == (
-        "1 of 2 universal shapes searched in fewer scenes than asked for: "
+        "1 of 2 universal shapes searched in fewer scenes than requested: "
         "2 of 6 other scenes had no room for the vehicle"
     )
     assert missing_search_scenes(scores, timings[timings["task_id"] == "c"]) == ""

@@ -59,7 +59,7 @@ def test_the_ratio_is_over_the_tasks_and_vehicles_that_have_both_scores() -> Non
 def test_the_unnatural_shapes_stand_in_the_sentence_of_the_ratio() -> None:
     scores = {("baseline", "suv"): [0.8, 0.8, 0.8], ("adversarial", "suv"): [0.6, 0.2, 0.1]}
     some = headline(variant(scores, natural={"suv-0": True, "suv-1": False, "suv-2": False}))
-    assert "a ratio of 0.37" in some and "but 2 of 3 shapes are unnatural (ratio over the 1 natural: 0.75)." in some
+    assert "a ratio of 0.37" in some and "but 2 of 3 shapes are unnatural (ratio over 1 natural shape: 0.75)." in some
     every = {f"suv-{scene}": True for scene in range(3)}
     assert "all 3 shapes are natural" in headline(variant(scores, natural=every))
     assert "was not measured" in headline(variant(scores, natural={}))
@@ -160,8 +160,8 @@ def test_one_unnatural_case_is_one() -> None:
         for task in "ab"
         for method, score in (("baseline", 0.9), ("adversarial", 0.3))
     ))  # fmt: skip
-    assert _left_out({"a"}, chosen) == " The last one is unnatural: there are not enough others."
-    assert _left_out({"a", "b"}, chosen) == " The last 2 are unnatural: there are not enough others."
+    assert _left_out({"a"}, chosen) == " The last one is unnatural, because too few scores of other shapes fell."
+    assert _left_out({"a", "b"}, chosen) == " The last 2 are unnatural, because too few scores of other shapes fell."
 
 
 def test_variants_name_what_differs_and_shape_comes_first(finished: Path) -> None:
@@ -197,7 +197,7 @@ def test_failures_are_counted_and_named(finished: Path) -> None:
     found = dataclasses.replace(sweep, scores=scores, attempts=attempts.drop_duplicates("task_id"))
     shown = blocks_html(coverage(found))
     assert "1 of 2 tasks scored" in shown and "1 quarantined" in shown
-    assert f"{lost}  ValueError: &lt;no&gt;" in shown and "Nothing failed" not in shown
+    assert f"{lost}  ValueError: &lt;no&gt;" in shown and "No attempt failed" not in shown
 
 
 def test_a_call_that_was_lost_counts_once_however_many_tasks_it_held(finished: Path) -> None:
@@ -208,7 +208,7 @@ def test_a_call_that_was_lost_counts_once_however_many_tasks_it_held(finished: P
     again = lost.head(1).assign(attempt=2, started_unix_s=2e9)
     assert len(lost) == 2
     shown = blocks_html(coverage(dataclasses.replace(sweep, attempts=pd.concat([lost, again]))))
-    assert "2 attempts failed, in 120 s" in shown
+    assert "2 attempts failed and took 120 s" in shown
 
 
 def test_a_machine_that_was_left_out_is_named_once(finished: Path) -> None:
@@ -217,7 +217,7 @@ def test_a_machine_that_was_left_out_is_named_once(finished: Path) -> None:
     unloaded = sweep.attempts.drop_duplicates("task_id").assign(outcome="not_loaded", error=line, worker="host-a:1")
     attempts = pd.concat([unloaded, sweep.attempts])
     shown = blocks_html(coverage(dataclasses.replace(sweep, attempts=attempts)))
-    assert shown.count(line) == 1 and "Nothing failed" not in shown
+    assert shown.count(line) == 1 and "No attempt failed" not in shown
     many = pd.concat([unloaded.head(1).assign(error=f"host-{number} is left out") for number in range(6)])
     assert coverage_lines(sweep.scores, many, 2, shown=5)[-1] == "  and 1 more machine"
 
@@ -233,4 +233,4 @@ def test_a_case_says_of_its_shape_and_its_place_what_its_mode_changes(mode: str)
     longer, farther = 4.0 + 0.4 * ("shape" in mode), 12.0 + 0.5 * ("pose" in mode)
     text = what_changed(case, rendered(4.0, 12.0), rendered(longer, farther))
     assert ("40 cm longer" in text) == ("shape" in mode) and ("moved 50 cm forward" in text) == ("pose" in mode)
-    assert ("its shape is the baseline's" in text) == (mode == "pose")
+    assert ("the shape is the baseline's" in text) == (mode == "pose")

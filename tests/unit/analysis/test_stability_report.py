@@ -73,7 +73,7 @@ def test_diagnostics_add_up_over_objects() -> None:
     text = diagnostics(scores(non_finite=[0, 2], unresolved_beams=[1, 4], least_slope=[0.3, 0.02]))
     assert text.startswith("Numerics over 2 objects: 2 non-finite values, 5 unresolved beams; at hits the distance ")
     assert "at most 0.001 mm" in text
-    assert "slope along the beam at least 0.02;" in text and "20% of the gradient" in text
+    assert "slope along the beam is at least 0.02;" in text and "20% of the gradient" in text
 
 
 @pytest.mark.parametrize("residual", [[], [None]])

@@ -74,7 +74,7 @@ def test_another_module_is_no_release_of_the_first(folder: Path, capsys: pytest.
     capsys.readouterr()
     words = ["suite=suite", "detector=own", f"module={other}", "accept=true", "mlflow=none"]
     error = refused(words, capsys)
-    assert "holds releases of detector, none of other. Give name=detector for its next release" in error
+    assert "has releases of detector, but none of other. Give name=detector for its next release" in error
     assert main(["gate", *words, "name=other"]) == 0
     assert "accepted as release 2, the first of own:other\n" in capsys.readouterr().out
     assert main(["gate", *words]) == 0, "a name that has releases need not be given again"
@@ -108,7 +108,7 @@ def test_a_changed_suite_and_a_missing_scene(folder: Path, capsys: pytest.Captur
     assert f"{scene.name}: is missing" in refused(words, capsys)
     manifest = json.loads((folder / "suite" / "suite.json").read_bytes())
     (folder / "suite" / "suite.json").write_bytes(manifest_bytes({**manifest, "version": 0}))
-    assert "version 0, this program reads 1" in refused(words, capsys)
+    assert "version 0; this program reads version 1" in refused(words, capsys)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_a_changed_suite_and_a_missing_scene(folder: Path, capsys: pytest.Captur
     [
         (["detector=own"], "suite= is missing"),
         (["suite=suite"], "detector= is missing"),
-        (["suite=nowhere", "detector=own"], "there is no suite"),
+        (["suite=nowhere", "detector=own"], "no such suite"),
         (["suite=suite", "detector=yolo"], "detector='yolo' is unknown"),
         (["suite=suite", "detector=own"], "module= is missing. Give module=FILE.py"),
         (["suite=suite", "detector=own", "level=2"], "level='2' is not in"),

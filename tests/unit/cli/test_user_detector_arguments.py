@@ -44,4 +44,4 @@ def test_a_detector_that_sees_no_vehicle_is_said_before_its_aucs(capsys: pytest.
     assert main(["sweep", *ONE_TASK, *HERE]) == 0
     _, printed = capsys.readouterr().out.split("writing to out\n")
     assert "own: in every task" in printed
-    assert printed.index("Is the vehicle seen at all?") < printed.index("AUC, adversarial pose")
+    assert printed.index("Does the detector see the vehicle at all?") < printed.index("AUC, adversarial pose")

@@ -149,7 +149,7 @@ def test_an_object_whose_size_is_not_known_takes_no_size_from_the_others() -> No
     lacking = rows.assign(height_m=rows["height_m"].mask(rows.index < 2))
     (found,) = failure_rules(lacking)
     assert [condition.quantity for condition in found.rule.conditions] == ["height_m"]
-    assert left_out(lacking) == f"2 of {len(rows)} scored objects are left out: their sizes are not known"
+    assert left_out(lacking) == f"2 of {len(rows)} scored objects are left out: their sizes are unknown"
     (without,) = failure_rules(rows[rows.index >= 2])
     assert found == without
     unmeasured = rows.assign(height_m=rows["height_m"].mask(rows.index % 3 > 0), range_m=objects()["range_m"])

@@ -129,7 +129,7 @@ def test_referenced_frames_are_made_again_and_must_be_the_same(
     with pytest.raises(InputError, match="unknown scene"):
         read_suite(tmp_path).background(name)
     suite.objects["scene_hash"] = "of other points"
-    with pytest.raises(InputError, match="another frame"):
+    with pytest.raises(InputError, match="differs from the frame"):
         suite.background(name)
     kitti = {"kind": "kitti", "root": str(tmp_path), "count": None, "names": None}
     (tmp_path / "suite.json").write_bytes(manifest_bytes({**manifest, "scene_sets": [kitti]}))

@@ -56,17 +56,17 @@ def test_a_file_put_in_place_of_another_with_its_digest_changes_the_suites(folde
 
 
 def test_what_is_no_suite_of_this_version_is_said(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no suite"):
+    with pytest.raises(InputError, match="no such suite"):
         read_suite(tmp_path)
     manifest = json.loads((folder / "suite.json").read_bytes())
     for version in (0, 2, None, "1"):
         (folder / "suite.json").write_bytes(manifest_bytes({**manifest, "version": version}))
-        with pytest.raises(InputError, match=f"version {version}, this program reads 1"):
+        with pytest.raises(InputError, match=f"version {version}; this program reads version 1"):
             read_suite(folder)
     for text in ("[]", "no json", ""):
         (folder / "suite.json").write_text(text)
         with pytest.raises(InputError, match=r"suite\.json"):
             read_suite(folder)
     write_suite(tmp_path / "empty", scenes=0)
-    with pytest.raises(InputError, match="holds no object"):
+    with pytest.raises(InputError, match="contains no object"):
         read_suite(tmp_path / "empty")

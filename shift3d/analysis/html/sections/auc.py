@@ -16,10 +16,10 @@ from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
 
 _LEAD = (
-    "The same street and the same place, seen by another sensor from the same point. A baseline is one object under "
-    "every sensor: what it loses is lost to the beams. An adversarial object was searched under its own beams. A miss "
-    "under every sensor is the detector's; one under some sensors alone is for want of what these see. Differences are "
-    "object by object; intervals redraw whole streets."
+    "Several sensors scan the same vehicle at the same place of the same street, from the same point. The baseline is "
+    "one object under every sensor, so only the beams change its score. Each adversarial object was searched under its "
+    "own sensor's beams. A miss under every sensor is the detector's failure; a miss under only some sensors is due to "
+    "their beams. Differences are paired by object; intervals resample whole streets."
 )
 
 
@@ -31,14 +31,14 @@ def sensors(sweep: Sweep) -> list[Block]:
 
 _SHOWN = 4  # number of variants whose tables are not folded
 _MEANINGS = {
-    "AUC": "area under recall(t) = P(score > t), t from 0 to 1: exactly the mean score of the best box within 5 m of "
-    "the inserted vehicle, 0 where there is none",
-    "interval": "95 %, BCa bootstrap, whole scenes redrawn; with fewer than about 20 scenes it is too narrow",
-    "mean": "mean of the vehicles' AUCs; for the paper's rows it is computed here, over the vehicles shown",
-    "of baseline": "mean over the baseline's mean; interval: 95 %, scenes redrawn with both of them",
-    "natural": f"only tasks whose adversarial shape is {NATURAL_RULE}, and the baseline of the same tasks"
+    "AUC": "area under recall(t) = P(score > t) for t from 0 to 1; exactly equal to the mean score of the best box "
+    "within 5 m of the inserted vehicle (0 without such a box)",
+    "interval": "95 %, BCa bootstrap over whole scenes; too narrow with fewer than about 20 scenes",
+    "mean": "mean of the vehicles' AUCs; in the paper's rows, shift3d computes it over the vehicles shown",
+    "of baseline": "mean divided by the baseline's mean; interval: 95 %, both resampled by the same scenes",
+    "natural": f"only tasks whose adversarial shape is {NATURAL_RULE}, with the baselines of the same tasks"
     "; see docs/why/naturalness.md",
-    "lambda": "shape results are those of the weight that the paper's rule chose for each vehicle",
+    "lambda": "weight that the paper's rule chose for each vehicle; shape results use this weight",
 }
 
 
@@ -46,7 +46,7 @@ def auc(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     """Build the AUC section, with one table per variant."""
     if not any(len(variant.rows) for variant in found):
         return [missing("No task has a score.")]
-    lead = Paragraph("Lower means that the detector misses more of these vehicles.")
+    lead = Paragraph("A lower AUC means that the detector misses more of these vehicles.")
     parts = [(f"AUC: {variant.label}", auc_blocks(variant)) for variant in found]
     by_lambda = natural_table(sweep.scores)
     folds: list[Block] = [Collapsible("Natural shapes by lambda", [by_lambda])] if by_lambda else []
@@ -72,10 +72,10 @@ _PAIRS = (
 )
 _HEADER = ["comparison", "vehicle", "difference", "95 % interval", "scenes", "tasks", "p", "p, Holm"]
 _PAIRED_LEAD = (
-    "The same vehicle at the same place of the same scene: score of the first method minus that of the second "
-    "(replicates averaged). Intervals redraw whole scenes. p is Wilcoxon's signed-rank test, two-sided, over the "
-    "scenes' mean differences (with fewer than 6 scenes it cannot fall below 0.05); Holm's correction is over the "
-    "comparisons of its table."
+    "Score of the first method minus score of the second, for the same vehicle at the same place of the same scene "
+    "(replicates averaged). Intervals resample whole scenes. p is from Wilcoxon's two-sided signed-rank test over the "
+    "scenes' mean differences (with fewer than 6 scenes it cannot fall below 0.05). Holm's correction covers the "
+    "comparisons of one table."
 )
 
 
@@ -103,7 +103,7 @@ def _differences_table(variant: Variant) -> Table | None:
 
 def _line(pair: tuple[str, str], vehicle: str, result: PairedDifference, corrected: float | None) -> list[str]:
     compared = f"{METHODS[pair[0]]} - {METHODS[pair[1]]}"
-    ends = between(result.interval, 3, "+") or "one scene: none"
+    ends = between(result.interval, 3, "+") or "none (one scene)"
     counts = [str(result.scenes), str(result.tasks)]
     tests = [_p_value(result.p_value), _p_value(corrected)]
     return [compared, vehicle, f"{result.interval.mean:+.3f}", ends, *counts, *tests]

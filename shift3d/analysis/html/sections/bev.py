@@ -21,25 +21,25 @@ _SIDES_M = {"x0": -2.4, "x1": 2.4, "y0": -1.0, "y1": 1.0}
 # Rectangle of the ego vehicle around the sensor, with the size of a common car.
 _EGO = {"type": "rect", **_SIDES_M, "line": {"color": "#2f8fc9", "width": 2}, "fillcolor": "#2f8fc9"}
 _LEAD = (
-    "Mean reduction of the score, baseline minus adversarial, over all vehicles, by where the baseline stood. Sensor "
-    "frame seen from above: x forward, to the right of the picture. Cells with a cross had no placement. The rectangle "
-    "is the ego vehicle."
+    "Mean score reduction (baseline minus adversarial) over all vehicles, by position of the baseline. The sensor "
+    "frame is seen from above; x points forward, to the right of the picture. A cross marks a cell without a "
+    "placement. The rectangle is the ego vehicle."
 )
 _TRANSFER_LEAD = (
-    "Each adversarial shape in other scenes of the set, at a random place and heading, and its baseline at the same "
-    "ones: mean reduction of the score by the cell that it was put into."
+    "Each adversarial shape was put into other scenes of the set at a random place and heading, and its baseline at "
+    "the same place and heading. The grid shows the mean score reduction by cell."
 )
 
 
 def bev(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     """Build the section with one grid per variant, later ones folded."""
-    nothing = "No adversarial vehicle was scored: there is no grid."
+    nothing = "No adversarial vehicle has a score, so there is no grid."
     return _grids(sweep.bev, found, "bev", _LEAD, nothing)
 
 
 def transfer_grid(sweep: Sweep, found: Sequence[Variant]) -> list[Block]:
     """Build the section about shapes in scenes and at places other than those of their search."""
-    nothing = "No shape was put into another scene by this sweep."
+    nothing = "This sweep put no shape into another scene."
     table = transfer_table(sweep.transfers)
     return [*_grids(sweep.bev_transfer, found, "transfer", _TRANSFER_LEAD, nothing), *([table] if table else [])]
 
@@ -52,7 +52,7 @@ def _grids(grid: pd.DataFrame, found: Sequence[Variant], key: str, lead: str, no
     folds = [
         Collapsible(f"Grid: {variant.label}", [part]) for (variant, _), part in zip(grids[_SHOWN:], drawn[_SHOWN:])
     ]
-    tables = Collapsible("The same as tables", [_table(variant, cells) for variant, cells in grids])
+    tables = Collapsible("Grids as tables", [_table(variant, cells) for variant, cells in grids])
     return [Paragraph(lead), Panels(drawn[:_SHOWN], "wide"), *folds, tables]
 
 

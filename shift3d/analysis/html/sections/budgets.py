@@ -12,9 +12,10 @@ from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 
 _LEAD = (
-    "AUC over the baseline's, against the percentile of the reference set that a searched shape may not pass: at 95, "
-    "95 of 100 known vehicles lie nearer to the others than the shape does. Bars: 95 %, scenes redrawn. Random draws "
-    "have the same budget and as many evaluations; the distance to them is what the search is worth."
+    "AUC divided by the baseline's AUC, against the budget: the percentile of the reference set that a searched shape "
+    "may not exceed. At the 95th percentile, 95 of 100 known vehicles are nearer to the other known vehicles than the "
+    "shape is. Bars: 95 %, scenes resampled. Random draws have the same budget and the same number of evaluations; the "
+    "gap to the random draws is the gain of the search."
 )
 _MARKED = ("#d55e00", "#2f8fc9", "#2c9668", "#9467bd", "#b97a00", "#7d7d7d")
 
@@ -27,10 +28,10 @@ def budgets(found: Sequence[Variant]) -> list[Block]:
     traces = [trace for number, curve in enumerate(curves) for trace in _traces(curve, _MARKED[number % len(_MARKED)])]
     layout: dict[str, Any] = {
         "xaxis": axis("percentile of the reference set", type="category"),
-        "yaxis": axis("AUC, of baseline", rangemode="tozero"),
+        "yaxis": axis("AUC / AUC of the baseline", rangemode="tozero"),
         "legend": LEGEND_BELOW,
     }
-    caption = "AUC over the baseline's against the budget of naturalness"
+    caption = "AUC relative to the baseline, by naturalness budget"
     return [Paragraph(_LEAD), plot("budgets", traces, layout, caption, caption, 380), table]
 
 

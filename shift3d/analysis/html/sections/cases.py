@@ -26,7 +26,7 @@ def hard_cases(sweep: Sweep, loaded: PageCache, count: int = 4) -> list[Block]:
     unnatural = sweep.unnatural
     chosen = hardest(sweep.scores, count, unnatural)
     if not chosen:
-        return [missing("No score fell by 0.01 or more below its baseline's: there is no hard case to show.")]
+        return [missing("No score is 0.01 or more below its baseline, so there is no hard case to show.")]
     parts: list[Block] = []
     for number, case in enumerate(chosen, start=1):
         try:
@@ -34,8 +34,8 @@ def hard_cases(sweep: Sweep, loaded: PageCache, count: int = 4) -> list[Block]:
         except InputError as error:
             parts.append(missing(f"Case {number}, task {case.task_id}, cannot be drawn: {error.what}"))
     lead = (
-        f"{counted(len(chosen), 'solution')} whose score fell furthest below the baseline's of the same task, other "
-        f"vehicles and scenes first.{_left_out(unnatural, chosen)} Drag a vehicle to turn both."
+        f"{counted(len(chosen), 'solution')} with the largest score drops from the baseline of the same task; "
+        f"new vehicles and scenes are preferred.{_left_out(unnatural, chosen)} Drag a vehicle to turn both."
     )
     return [Paragraph(lead), *parts, Collapsible("How the meshes are measured", [Terms(DEFINITIONS)])]
 
@@ -47,7 +47,7 @@ def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
     if not shown:
         return f" Unnatural shapes ({counted(len(unnatural), 'task')}) are left out: they are easy to miss."
     which = "The last one is" if shown == 1 else f"The last {shown} are"
-    return f" {which} unnatural: there are not enough others."
+    return f" {which} unnatural, because too few scores of other shapes fell."
 
 
 def _case(sweep: Sweep, case: Case, number: int, loaded: PageCache) -> Article:
@@ -67,9 +67,9 @@ def _case(sweep: Sweep, case: Case, number: int, loaded: PageCache) -> Article:
             views,
             buttons,
             top_views(key, case, before, after, centre),
-            Collapsible("Measures, steps of the search, and settings", [*_measures(case, number, before, after), path,
+            Collapsible("Measures, search steps and settings", [*_measures(case, number, before, after), path,
                  Paragraph(_settings(case, task.spec)), Paragraph(_scored_again(case, before, after))]),
-            Command("Take it away (OUT is this page's folder):",
+            Command("Export this case (OUT is this page's folder):",
                     f"shift3d export OUT task={case.task_id} method=adversarial to=hard_case_{number}"),
         ],
     )  # fmt: skip
@@ -78,15 +78,15 @@ def _case(sweep: Sweep, case: Case, number: int, loaded: PageCache) -> Article:
 def what_changed(case: Case, before: Rendered, after: Rendered) -> str:
     """Describe the change of shape, place or both."""
     if case.mode == "pose":
-        return f"What changed: {_moved(before, after)}; its shape is the baseline's."
+        return f"What changed: {_moved(before, after)}; the shape is the baseline's."
     shape = describe_changes(before.measures, after.measures)
-    return f"What changed: {shape}" + (f" Its place: {_moved(before, after)}." if case.mode == "shape_pose" else "")
+    return f"What changed: {shape}" + (f" Its pose: {_moved(before, after)}." if case.mode == "shape_pose" else "")
 
 
 def _settings(case: Case, spec: TaskSpec) -> str:
     weight = "" if spec.lambda_ is None else f", lambda {spec.lambda_:g}"
     effects = f"effects {', '.join(spec.effects)}" if spec.effects else "no effects"
-    return f"Scene {case.scene}, attacked {spec.detector}{weight}, {effects}."
+    return f"Scene {case.scene}, attacked detector {spec.detector}{weight}, {effects}."
 
 
 def _moved(before: Rendered, after: Rendered) -> str:
@@ -116,9 +116,9 @@ def _scored_again(case: Case, before: Rendered, after: Rendered) -> str:
     """State whether the pictures reproduce the sweep's scores."""
     off = max(abs(before.score - case.before), abs(after.score - case.after))
     if off <= 1e-6:
-        return f"Task {case.task_id}. Scored again for this page: the sweep's scores to 1e-6."
-    scores = f"Scored again for this page: {before.score:.4f} and {after.score:.4f}, off the sweep's by {off:.1e}."
-    why = " The program is not the one that ran the sweep, or the machine rounds otherwise." if off > 1e-3 else ""
+        return f"Task {case.task_id}. Scored again for this page: equal to the sweep's scores to 1e-6."
+    scores = f"Scored again for this page: {before.score:.4f} and {after.score:.4f}, up to {off:.1e} off the sweep's."
+    why = " Another program version ran the sweep, or this machine rounds differently." if off > 1e-3 else ""
     return f"Task {case.task_id}. {scores}{why}"
 
 
@@ -168,5 +168,5 @@ def describe_changes(before: Measures, after: Measures) -> str:
         if abs(share) >= 0.01:
             parts.append(f"{abs(share):.0%} {'more' if share > 0 else 'less'} volume")
     if after.pieces != before.pieces:
-        parts.append(f"{after.pieces} pieces in place of {before.pieces}")
+        parts.append(f"{after.pieces} pieces instead of {before.pieces}")
     return f"{', '.join(parts)}." if parts else "No measure changes by 1 cm, 1° or 1 % of the volume."

@@ -18,8 +18,8 @@ from shift3d.methods import METHODS
 from shift3d.wording import counted
 
 _LEAD = (
-    "Share of the inserted vehicles that are found with a score above the threshold; exact at every 0.005. Bands: "
-    "95 %, pointwise, scenes redrawn. Point at a curve for its values; click a name to hide it."
+    "Share of the inserted vehicles that the detector finds with a score above the threshold, exact at every 0.005. "
+    "Bands: 95 %, pointwise, scenes resampled. Point at a curve to read its values; click a name to hide its curve."
 )
 
 
@@ -47,7 +47,7 @@ def _panel(number: int, variant: Variant, name: str, rows: pd.DataFrame) -> Plot
         found.append(RecallCurve(label, own["score"], own["place"], COLOURS[method], DASHES[method], width))
     scenes, tasks = rows["place"].nunique(), rows["task_id"].nunique()
     caption = f"{variant.title}, {name}: {counted(scenes, 'scene')}, {counted(tasks, 'task')}"
-    caption += "" if scenes > 1 else "; no band, which takes several scenes"
+    caption += "" if scenes > 1 else "; no band, because there is only one scene"
     label = f"Threshold-recall curves, {variant.label}, {name}"
     return recall_plot(f"curve-{variant.key}-{number}", found, label, caption)
 

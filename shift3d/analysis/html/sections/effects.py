@@ -25,11 +25,11 @@ def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
     """Build figure, table and meanings of the columns."""
     alt = "; ".join(f"{each.effect}: {each.score_change.mean:.3f} for {each.milliseconds:.0f} ms" for each in impacts)
     return [
-        Paragraph("The same vehicles at the same places, without effects and with one at a time."),
+        Paragraph("The same vehicles at the same places, rendered without effects and with one effect at a time."),
         Picture(
             png(effects_figure({impact.effect: impact.measured for impact in impacts})),
             alt,
-            "An effect whose whole bar lies below the dashed line is left out by effects=auto.",
+            "effects=auto leaves out an effect whose whole bar is below the dashed line.",
         ),
         effect_table(impacts),
         Collapsible("What the columns mean", [Terms(MEANINGS)]),

@@ -34,10 +34,10 @@ def gallery(sweep: Sweep, loaded: PageCache) -> list[Block]:
         tiles.append(_tile(sweep, task, case, rating, loaded))
     all_of_them = len(positions) == len(sweep.plan.tasks)
     which = f"All {len(positions)} tasks" if all_of_them else f"{len(positions)} of the {len(sweep.plan.tasks)} tasks"
-    how = "" if all_of_them else ", drawn at random, each as likely as any other: failures and unnatural shapes too"
+    how = "" if all_of_them else ", drawn at random with equal probability, including failures and unnatural shapes"
     lead = (
-        f"{which}{how}. To the left the baseline, to the right what the attack found, as the sensor sees them; below, "
-        "the scores of both before the attacked detector."
+        f"{which}{how}. Each picture shows the baseline on the left and the attack's solution on the right, seen from "
+        "the sensor. The caption gives the attacked detector's scores of both."
     )
     return [Paragraph(lead), Panels(tiles, "tiles")]
 

@@ -15,17 +15,17 @@ from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
 from shift3d.wording import counted, duration
 
 _RULE = (
-    "The paper's rules: alpha by the lowest AUC of what the search found; lambda for each vehicle by the lowest mean "
-    f"adversarial loss, the larger one of those within {NEARLY_EQUAL:.0%} of it (the paper says 'very similar' and no "
-    "number). Over the scenes that have a score under every candidate."
+    "The paper's rules: alpha has the lowest AUC of the solutions. lambda, for each vehicle, has the lowest mean "
+    f"adversarial loss; of several within {NEARLY_EQUAL:.0%} of the lowest loss, the largest lambda is chosen (the "
+    "paper says 'very similar' and gives no number). Only scenes with a score under every candidate count."
 )
 
 
 def choices(sweep: Sweep) -> list[Block]:
     """Build the section of choices: one table per parameter, one sentence per choice."""
     if sweep.choices.empty:
-        return [missing("This sweep holds no two values of alpha or lambda.")]
-    why = Collapsible("Why each was chosen", [Items(reasons(sweep.choices))])
+        return [missing("This sweep compares no two values of alpha or lambda.")]
+    why = Collapsible("Reason for each choice", [Items(reasons(sweep.choices))])
     return [Paragraph(_RULE), *choice_tables(sweep.choices), why]
 
 
@@ -36,10 +36,10 @@ def coverage(sweep: Sweep) -> list[Block]:
     # A lost worker or machine ends one call; each task of the call has a row with the call's start and duration.
     failed = sweep.attempts[sweep.attempts["outcome"] != "done"].drop_duplicates(["worker", "started_unix_s"])
     if len(failed):
-        lines.append(f"{counted(len(failed), 'attempt')} failed, in {failed['seconds'].sum():.0f} s")
+        lines.append(f"{counted(len(failed), 'attempt')} failed and took {failed['seconds'].sum():.0f} s")
     lines += [line.strip() for line in skipped_lines(sweep.plan)]
     complete = len(lines) == 1 and sweep.scored["task_id"].nunique() == planned
-    lead = "Nothing failed and nothing is missing." if complete else "What is missing, and why."
+    lead = "No attempt failed, and no score is missing." if complete else "Missing scores and failed attempts:"
     rows = Collapsible("Rows by method and status", [rows_by_status(sweep.scores)])
     return [Paragraph(lead), Items(lines), rows]
 
@@ -70,9 +70,9 @@ def _facts(sweep: Sweep) -> dict[str, str]:
         "Vehicles": ", ".join(dict.fromkeys(spec.vehicle.replace("_", " ") for spec in specs)),
         "Detectors": "; ".join(f"{attacked} attacked, scored by {', '.join(by)}" for attacked, by in pairs),
         "Accuracy": ", ".join(dict.fromkeys(spec.accuracy for spec in specs)),
-        "Effects requested, by tasks": ", ".join(f"{name} ({count})" for name, count in requested.items()),
-        "Effects that ran, by tasks": ", ".join(f"{name} ({count})" for name, count in ran.items())
-        or "none: occlusion alone, as the paper",
+        "Effects requested (tasks)": ", ".join(f"{name} ({count})" for name, count in requested.items()),
+        "Effects that ran (tasks)": ", ".join(f"{name} ({count})" for name, count in ran.items())
+        or "none: occlusion only, as in the paper",
         "Attack": ", ".join(f"{name} {attack[name]}" for name in _SETTINGS if name in attack) or "see the axes",
     }
 
@@ -86,18 +86,20 @@ def _counts(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
 
 def _axes(axes: dict[str, list[str]]) -> Block:
     if not axes:
-        return missing("No axis: one setting.")
+        return missing("No axis: the sweep varies no setting.")
     lines = [[name, str(len(values)), ", ".join(values)] for name, values in axes.items()]
-    return Table("Axes of the sweep", ["axis", "values", "which"], lines)
+    return Table("Axes of the sweep", ["axis", "number", "values"], lines)
 
 
 def _cost(sweep: Sweep) -> list[Block]:
     timings = sweep.timings
     if timings.empty:
-        return [missing("Cost: the sweep has no timings.")]
+        return [missing("The sweep has no timings.")]
     tasks = timings["task_id"].nunique()
     seconds = float(timings.loc[timings["stage"] == "total", "milliseconds"].sum()) / 1e3
-    text = f"{counted(tasks, 'task')} took {duration(seconds)} on one thread each, {duration(seconds / tasks)} a task."
+    text = (
+        f"{counted(tasks, 'task')} took {duration(seconds)} on one thread each, {duration(seconds / tasks)} per task."
+    )
     return [Paragraph(text), Collapsible("Time by stage", [stage_times(timings, sweep.scores)])]
 
 
@@ -108,7 +110,7 @@ def _versions(sweep: Sweep) -> Collapsible:
     machine = f"Processor {env.get('machine', '-')}, {env.get('cpus', '-')} cores."
     weights = sorted({pair for assets in sweep.plan.assets for pair in assets.hashes.items()})
     tables = [
-        Table("Versions", ["what", "version"], lines),
-        Table("Weights, BLAKE2b", ["what", "hash"], [list(pair) for pair in weights]),
+        Table("Versions", ["component", "version"], lines),
+        Table("Weights, BLAKE2b", ["name", "hash"], [list(pair) for pair in weights]),
     ]
     return Collapsible("Versions and weights", [Paragraph(machine), *tables])

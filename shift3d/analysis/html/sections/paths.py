@@ -15,13 +15,13 @@ from shift3d.analysis.statistics.intervals import resampled_band
 from shift3d.analysis.variants import Variant
 from shift3d.wording import counted
 
-_MISSING = missing("This sweep kept no scores along the steps.")
+_MISSING = missing("This sweep stored no scores of search steps.")
 _VEHICLES = ("#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a8a8a")
 _LEAD = (
-    "What the search sees at every step, step 0 being the unchanged vehicle: the score of the best box within 5 m "
-    "before non-maximum suppression, at the search's own precision; so it may differ a little from the scores in the "
-    "tables. Mean over tasks; band: 95 %, pointwise, scenes redrawn. Steps that break a constraint count here too; the "
-    "solution is the best valid step, not the last."
+    "Score that the search sees at each step; step 0 is the unchanged vehicle. It is the score of the best box within "
+    "5 m before non-maximum suppression, at the precision of the search, so it may differ a little from the scores in "
+    "the tables. Mean over tasks; band: 95 %, pointwise, scenes resampled. Steps that break a constraint count too. "
+    "The solution is the best valid step, not the last step."
 )
 
 
@@ -61,7 +61,7 @@ def _plot(variant: Variant, rows: pd.DataFrame) -> Plot:
     traces.append(line(steps, mean, "mean", {"color": colour, "width": 3}))
     counts = f"{counted(rows['task_id'].nunique(), 'task')}, {counted(rows['place'].nunique(), 'scene')}"
     last = rows.sort_values("step").groupby("task_id")["valid"].last()
-    counts += f"; the last step is valid in {int(last.sum())} of them"
+    counts += f"; the last step is valid in {counted(int(last.sum()), 'task')}"
     text = f"{variant.title}: mean score {mean[0]:.3f} → {mean[-1]:.3f} in {steps[-1]} steps; {counts}"
     return plot(f"path-{variant.key}", traces, _layout(int(steps[-1])), f"Score by step. {text}", text, 360)
 
@@ -80,7 +80,7 @@ def case_path(key: str, rows: pd.DataFrame) -> Block:
         if len(part):
             traces.append(marks(part["step"].to_numpy(), short(part["proposal_score"]), marker, name=name))
     at_best = int(best["step"].iloc[0]) if len(best) else 0
-    caption = f"Score along the steps, as the search sees it: {scores[0]:.2f} at the start, step {at_best} is the best"
+    caption = f"Search score by step: {scores[0]:.2f} at the start; step {at_best} is the best"
     return plot(f"{key}-path", traces, _layout(int(steps[-1])), caption, caption, 260)
 
 

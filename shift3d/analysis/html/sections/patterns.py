@@ -12,11 +12,11 @@ from shift3d.errors import InputError
 from shift3d.vehicles.mesh_measures import DEFINITIONS
 
 _RULES_LEAD = (
-    "Rules that shallow trees found on every other scene and every other vehicle. A rule is about the objects that no "
-    "rule above it holds for. Each column shows the mean score of the objects that it holds for, less that of all "
-    "others, on objects that it was not found on. A rule holds where all of these lie below zero with 95 % confidence. "
-    "Scenes count as draws, and so do vehicles that it was not found on. It says what goes together, not what causes "
-    "it."
+    "Shallow trees found these rules on every other scene and every other vehicle. A rule applies only to objects that "
+    "match no rule above it. A difference is the mean score of the matching objects minus that of all others: first on "
+    "the objects that the rule was found on, then on new objects. A rule holds if all differences on new objects are "
+    "below zero with 95 % confidence. Scenes count as random draws, and so do vehicles that the rule was not found on. "
+    "A rule states an association, not a cause."
 )
 
 
@@ -27,7 +27,7 @@ def rules(sweep: Sweep) -> list[Block]:
         found = failure_rules(objects)
     except InputError as error:
         return [missing(f"{error.what[:1].upper()}{error.what[1:]}.")]
-    nothing = missing("Nothing that was measured tells objects with low scores from the others.")
+    nothing = missing("No measured quantity separates objects with low scores from the other objects.")
     blocks: list[Block] = [Paragraph(_RULES_LEAD), rules_table(found)] if found else [nothing]
     if lacking := left_out(objects):
         blocks.append(Paragraph(f"{lacking}."))
@@ -35,11 +35,11 @@ def rules(sweep: Sweep) -> list[Block]:
 
 
 _LEAD = (
-    "Measured on the mesh of every baseline and of what was found from it, whatever became of its score. Change: mean "
-    "over all solutions, with its 95 % interval, whole scenes redrawn; less and more: shares of the solutions whose "
-    "measure changes by 1 cm, 1° or 1 % of a cubic metre."
+    "Measured on the meshes and poses of every baseline and its solution, whatever the solution's score. Change: mean "
+    "over all solutions, with a 95 % interval, whole scenes resampled. Less and more: shares of the solutions whose "
+    "measure falls or rises by at least 1 cm, 1°, 0.01 m³ or one piece."
 )
-_UNMEASURED = "The shapes were not measured: shift3d patterns OUT measures them (OUT is this page's folder)."
+_UNMEASURED = "The shapes are not measured. Run shift3d patterns OUT to measure them (OUT is this page's folder)."
 
 
 def patterns(sweep: Sweep) -> list[Block]:

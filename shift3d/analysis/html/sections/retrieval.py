@@ -21,10 +21,11 @@ from shift3d.wording import counted
 
 _COUNT = 9  # tiles
 _LEAD = (
-    "Labelled vehicles of other scenes were cropped, and their shapes fitted to their points. The vehicle whose latent "
-    "code is nearest to that of an adversarial shape is put in its place. By the paper's rule, a shape without a near "
-    "one (nearer than its own code is long) is left out. Controls are vehicles of the same scenes that were seen from "
-    "as far and by as many points, in the same place. In the log: before the pool's detector where they stand."
+    "shift3d crops labelled vehicles of other scenes and fits a latent code to the points of each. The vehicle with "
+    "the code nearest to that of an adversarial shape takes the place of the shape. By the paper's rule, a shape is "
+    "left out if the distance to the nearest code is not smaller than the norm of its own code. Controls are "
+    "other vehicles of these scenes at the same place, with a range and a number of points similar to those of the "
+    "retrieved vehicle. In the log: the vehicles at their original places, scored by the pool's detector."
 )
 _CURVES = {
     "score_baseline": ("baseline", COLOURS["baseline"]),
@@ -36,8 +37,8 @@ _CURVES = {
 def retrieval(sweep: Sweep, loaded: PageCache) -> list[Block]:
     """Build the section; if no vehicles were retrieved, show the command to run."""
     if sweep.retrieved.empty:
-        nothing = missing("Nobody has looked for natural vehicles that are like these shapes.")
-        return [nothing, Command("A vehicle of the set takes some seconds:", "shift3d retrieve OUT")]
+        nothing = missing("No search for natural vehicles similar to these shapes has run.")
+        return [nothing, Command("Run the search; each vehicle of the set takes some seconds:", "shift3d retrieve OUT")]
     table = retrieval_table(sweep.retrieved)
     own = kept(sweep.retrieved)
     own = own[own["scored_by"] == own["detector"]]
@@ -45,7 +46,7 @@ def retrieval(sweep: Sweep, loaded: PageCache) -> list[Block]:
     if len(own):
         shown = own.iloc[random_positions(len(own), _COUNT, sweep.plan.spec_hash)].to_dict("records")
         tiles = [_kin_tile(sweep, row, loaded) for row in shown]
-        heading = "Baseline, adversarial and retrieved vehicle, of solutions drawn at random"
+        heading = "Baseline, adversarial and retrieved vehicle of randomly drawn solutions"
         controls = controls_of(sweep.retrieved)
         controls = controls[controls["scored_by"] == controls["detector"]]
         blocks += [Panels([kin_curves(own, controls)]), Heading(heading), Panels(tiles, "tiles")]
@@ -56,8 +57,8 @@ def kin_curves(rows: pd.DataFrame, controls: pd.DataFrame) -> Plot:
     """Plot recall of baselines, solutions and their kin (all in `rows`, see `kept`), and of every control."""
     found = [RecallCurve(name, rows[column], rows["place"], colour) for column, (name, colour) in _CURVES.items()]
     found.append(RecallCurve("controls", controls["score"], places_of(controls), COLOURS["random_budget"], "dash"))
-    label = f"Threshold-recall of {counted(len(rows), 'solution')} with natural kin, in the same place"
-    return recall_plot("curve-retrieval", found, label, f"{label}; bands redraw the solutions' scenes alone")
+    label = f"Threshold-recall of {counted(len(rows), 'solution')} and their natural kin at the same place"
+    return recall_plot("curve-retrieval", found, label, f"{label}; bands resample only the solutions' scenes")
 
 
 def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: PageCache) -> Picture:

@@ -10,26 +10,27 @@ from shift3d.analysis.html.blocks import Block, Collapsible, Heading, Items, Par
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_meanings, preset_table
 from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
+from shift3d.wording import counted
 
 
 def accuracy(sweep: Sweep) -> list[Block]:
     """Build the section of accuracy: audit of the sweep's objects, and the presets as a frontier measured them."""
     audited = Items([*accuracy_cost(sweep.scores, sweep.timings), diagnostics(sweep.scores)])
-    lead = Paragraph("Beams of each object are rendered again at reference accuracy.")
+    lead = Paragraph("The audit renders beams of each object again at reference accuracy.")
     explained = Collapsible("What the columns mean", [Terms(preset_meanings())])
     return [lead, audited, preset_table(), explained]
 
 
 _ALT = (
-    "Left: each solution's score at reference accuracy against the score that the sweep reported; right: how much of "
-    "its margin to the baseline is left under noise and off its pose"
+    "Left: each solution's score at reference accuracy against the score that the sweep reported. Right: the smallest "
+    "margin to the baseline under noise and pose offsets against the margin without them."
 )
 
 
 def stability(sweep: Sweep) -> list[Block]:
     """Build the section of stability, or one line if nothing was verified."""
     if sweep.verification is None or sweep.verification.empty:
-        return [missing("Not verified: shift3d verify OUT scores every solution again at reference accuracy.")]
+        return [missing("Not verified. Run shift3d verify OUT to score every solution again at reference accuracy.")]
     return stability_blocks(sweep.verification, shown=20)
 
 
@@ -40,7 +41,7 @@ def stability_blocks(verification: pd.DataFrame, shown: int | None) -> list[Bloc
     return [
         stability_table(verification),
         Picture(png(stability_figure(verification)), _ALT),
-        Heading(f"{unstable} unstable"),
+        Heading(counted(unstable, "unstable solution")),
         listed,
         Collapsible("What the columns mean", [Terms(MEANINGS)]),
     ]

@@ -40,7 +40,7 @@ def headline(variant: Variant) -> str:
     before = aucs_of_scores(baseline).mean("baseline", vehicles)
     after = aucs_of_scores(rows).mean("adversarial", vehicles)
     if before is None or after is None:
-        return f"{variant.title}: no baseline, or nothing found."
+        return f"{variant.title}: the baseline or the solutions have no score."
     ratio = " ".join(part for part in ratio_texts(rows, baseline) if part)
     table = paper_table_of(variant)
     paper = table and table.aucs.ratio_to_baseline("adversarial", vehicles)
@@ -58,11 +58,11 @@ def _naturalness(variant: Variant) -> str:
     tasks = variant.rows.drop_duplicates("task_id")
     measured = tasks[tasks["natural"].notna()]
     if measured.empty:
-        return "; how many of the shapes are unnatural was not measured"
+        return "; the naturalness of the shapes was not measured"
     unnatural = int(measured["natural"].eq(False).sum())
     text = f", but {unnatural} of {counted(len(measured), 'shape')} {'is' if unnatural == 1 else 'are'} unnatural"
     left = len(measured) - unnatural
     if not unnatural:
         return ", and the one shape is natural" if left == 1 else f", and all {left} shapes are natural"
     ratio = aucs_of_scores(natural_rows(variant)).ratio_to_baseline("adversarial", variant.vehicles) if left else None
-    return text + (f" (ratio over the {left} natural: {ratio:.2f})" if ratio is not None else "")
+    return text + (f" (ratio over {counted(left, 'natural shape')}: {ratio:.2f})" if ratio is not None else "")

@@ -58,7 +58,7 @@ def _costs(rows: pd.DataFrame, scenes: str, presets: dict[str, Any]) -> str:
     costs = [f"{row['preset']} takes {milliseconds(row['ms_median'])}" for row in ordered[:1]]
     costs += [f"{row['preset']} {milliseconds(row['ms_median'])}" for row in ordered[1:]]
     behind = [str(row["preset"]) for row in ordered if not row["pareto"] and row["preset"] != "paper"]
-    on_front = f" {_and(behind)} {'is' if len(behind) == 1 else 'are'} not on the front." if behind else ""
+    on_front = f" {_and(behind)} {'is' if len(behind) == 1 else 'are'} not on the Pareto front." if behind else ""
     return f"{first} {_and(costs)} a rendering.{on_front}"
 
 
@@ -66,26 +66,24 @@ def _against_paper(default: pd.Series, presets: dict[str, Any]) -> str:
     if "paper" not in presets:
         return ""
     clipped = default["ratio_to_paper_chord"]
-    chord = "" if np.isnan(clipped) else f" ({factor(clipped)} times on the sphere's chord alone)"
+    chord = "" if np.isnan(clipped) else f" ({factor(clipped)} times as fast as paper on the sphere's chord only)"
     return (
         f"The default, {_DEFAULT}, is {factor(default['ratio_to_paper'])} times as fast as paper as published{chord}, "
-        f"and misses or misplaces {_share(default['misplaced'])} of the hits where paper does "
+        f"and misses or misplaces {_share(default['misplaced'])} of the hits; paper misses or misplaces "
         f"{_share(presets['paper']['misplaced'])}."
     )
 
 
 def _accuracy(row: pd.Series) -> str:
-    chords = f"of the chords of 2 cm or more it misses {_share(row['missed_hits_2cm'])}"
-    text = f"Its depths are within {length(row['depth_p50_m'])} for half of the hits, {length(row['depth_p99_m'])} for "
-    text += f"99 % and {length(row['depth_max_m'])} for all; {chords}"
+    chords = f"it misses {_share(row['missed_hits_2cm'])} of the hits whose chord is 2 cm or longer"
+    text = f"Its depth error is at most {length(row['depth_p50_m'])} for half of the hits, "
+    text += f"{length(row['depth_p99_m'])} for 99 % and {length(row['depth_max_m'])} for all; {chords}"
     if not np.isnan(row["gradient_cosine"]):
-        text += f"; the cosine of its gradient with reference's is {row['gradient_cosine']:.6g}"
+        text += f"; the cosine between its gradient and reference's is {row['gradient_cosine']:.6g}"
     if not np.isnan(row["auc_delta"]):
-        text += f", and the AUC moves by {row['auc_delta']:+.2g}"
-    text += (
-        f". All failures in one number, with {length(MISPLACED_M)} for a beam that is misplaced, its error is at most "
-    )
-    return f"{text}{length(row['error_m'])} a beam."
+        text += f", and the AUC changes by {row['auc_delta']:+.2g}"
+    text += f". As one number that counts {length(MISPLACED_M)} for each misplaced beam, its error is at most "
+    return f"{text}{length(row['error_m'])} per beam."
 
 
 def _steps(here: pd.Series, presets: dict[str, Any]) -> list[str]:
@@ -98,7 +96,7 @@ def _steps(here: pd.Series, presets: dict[str, Any]) -> list[str]:
         error = f"an error of {length(other['error_m'])} instead of {length(here['error_m'])}"
         if other["misplaced"] or here["misplaced"]:
             error += f" and {_share(other['misplaced'])} of the hits misplaced instead of {_share(here['misplaced'])}"
-        sentences.append(f"One preset {'down' if down else 'up'}, {name}, {takes}, for {error}.")
+        sentences.append(f"The {'faster' if down else 'more accurate'} preset, {name}, {takes}, with {error}.")
     return sentences
 
 
@@ -110,8 +108,8 @@ def _warm(rows: pd.DataFrame, default: pd.Series) -> str:
     plain = rows[rows["setting"] == f"{_DEFAULT}, shape gradient"]
     warm, cold, how = found.iloc[0], default, "cold"
     if len(plain):  # an SDF grid fits one shape; a changing shape has none
-        cold, how = plain.iloc[0], "cold under the same conditions, without an SDF grid and with the gradient"
-    text = f"Warm, that is from the previous rendering on as in the attack loop, {_DEFAULT} takes "
+        cold, how = plain.iloc[0], "cold with the gradient and without an SDF grid"
+    text = f"Warm, starting from the previous rendering as in the attack loop, {_DEFAULT} takes "
     text += f"{milliseconds(warm['ms_median'])}: {factor(cold['ms_median'] / warm['ms_median'])} times as fast as {how}"
     if not np.isnan(warm["ratio_to_paper"]):
         text += f" and {factor(warm['ratio_to_paper'])} times as fast as paper as published"
@@ -121,9 +119,9 @@ def _warm(rows: pd.DataFrame, default: pd.Series) -> str:
 def _loop(row: pd.Series) -> str:
     if np.isnan(row["step_ms_median"]):
         return ""
-    text = f"A whole attack step in {_DEFAULT} takes {milliseconds(row['step_ms_median'])}"
+    text = f"A whole attack step with {_DEFAULT} takes {milliseconds(row['step_ms_median'])}"
     if not np.isnan(row["step_ratio_to_paper"]):
-        text += f", {factor(row['step_ratio_to_paper'])} times as fast as the published way"
+        text += f", {factor(row['step_ratio_to_paper'])} times as fast as the published step"
     return text + "."
 
 
@@ -147,18 +145,18 @@ def _knee(rows: pd.DataFrame) -> str:
     if at is None:
         return ""
     row = front.iloc[at]
-    text = f"The front has its knee at {row['setting']} "
+    text = f"The knee of the Pareto front is {row['setting']} "
     text += f"({milliseconds(row['ms_median'])}, error {length(row['error_m'])})"
     if at > 0:
         faster = front.iloc[at - 1]
-        text += f": the next faster setting on it, {faster['setting']}, saves "
-        text += f"{share(1 - faster['ms_median'] / row['ms_median'])} of the time for "
+        text += f": the next faster setting, {faster['setting']}, saves "
+        text += f"{share(1 - faster['ms_median'] / row['ms_median'])} of the time at "
         error, least = faster["error_m"], row["error_m"]
         text += f"{factor(error / least)} times the error" if least else f"an error of {length(error)}"
     if at + 1 < len(front):
         better = front.iloc[at + 1]
-        text += f"{',' if at > 0 else ':'} and the next more accurate, {better['setting']}, takes "
-        text += f"{factor(better['ms_median'] / row['ms_median'])} times the time for an error of "
+        text += f"{';' if at > 0 else ':'} the next more accurate setting, {better['setting']}, takes "
+        text += f"{factor(better['ms_median'] / row['ms_median'])} times the time at an error of "
         text += f"{length(better['error_m'])}"
     return text + "."
 
@@ -171,15 +169,15 @@ def _dominated(rows: pd.DataFrame) -> list[str]:
         return ["No setting is dominated."]
     winners, counts = np.unique(by[losers], return_counts=True)
     parts = [
-        f"by {rows['setting'].iloc[winner]}: {', '.join(_runs(rows, by, int(winner)))}"
+        f"{rows['setting'].iloc[winner]} dominates {', '.join(_runs(rows, by, int(winner)))}"
         for winner in winners[np.argsort(-counts, kind="stable")]
     ]
-    text = "Dominated are, with the time they take against that of the fastest setting that is at least as accurate, "
+    text = "Dominated settings, with their time relative to the fastest setting that is at least as accurate: "
     sentences = [text + "; ".join(parts) + "."]
     low, high, names = rows["ms_low"].to_numpy(), rows["ms_high"].to_numpy(), rows["setting"].to_numpy()
     close = [str(names[row]) for row in losers if high[by[row]] >= low[row]]
     if close:
-        sentences.append(f"For {_and(close)} the quartiles of the two times overlap, so that may as well be a tie.")
+        sentences.append(f"For {_and(close)} the quartiles of the two times overlap, so both may be equally fast.")
     return sentences
 
 

@@ -37,7 +37,7 @@ def diagnostics(scores: pd.DataFrame) -> str:
     searched = rows[rows["method"] == "adversarial"]
     if searched["grazing_gradient"].notna().any():
         text += (
-            f", its slope along the beam at least {float(scores['least_slope'].min()):.2g}; grazing beams carry "
+            f", and its slope along the beam is at least {float(scores['least_slope'].min()):.2g}; grazing beams carry "
             f"{float(searched['grazing_gradient'].mean()):.0%} of the gradient"
         )
     return f"{text}."
@@ -62,8 +62,8 @@ def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
             own = _of_presets(read_frontier(file).to_pandas())
             if set(shipped.index) <= set(own.index):
                 return own, "this machine's frontier"
-        return shipped, f"the frontier that ships ({file} cannot be read or lacks a preset on streets: make frontier)"
-    return shipped, "the frontier that ships (another machine; make frontier measures this one)"
+        return shipped, f"the shipped frontier ({file} cannot be read or lacks a preset on streets: run make frontier)"
+    return shipped, "the shipped frontier (of another machine; make frontier measures this one)"
 
 
 def _of_presets(rows: pd.DataFrame) -> pd.DataFrame:
@@ -74,7 +74,7 @@ def _of_presets(rows: pd.DataFrame) -> pd.DataFrame:
 def preset_table(folder: Path | None = None) -> Table:
     """Build the table of cost and errors of each preset, see `measured_presets`."""
     presets, whose = measured_presets(folder)
-    return settings_table(presets.reset_index(), f"What other presets would cost, by {whose}", "preset", _HEADERS)
+    return settings_table(presets.reset_index(), f"Cost and errors of the presets, by {whose}", "preset", _HEADERS)
 
 
 def preset_meanings() -> dict[str, str]:
@@ -95,13 +95,13 @@ def _audited(rows: pd.DataFrame) -> str:
     """Describe the audit results; each object counts once."""
     rows = _objects(rows[rows["audited_beams"].notna()])
     if not len(rows):
-        return "no beam was audited."
+        return "the audit rendered no beam."
     beams, hits = int(rows["audited_beams"].sum()), int(rows["audited_hits"].sum())
     missed, false, wrong = (int(rows[name].sum()) for name in _ERRORS)
     depth = 1e3 * float(rows["depth_error_max_m"].max())
     return (
         f"{counted(beams, 'beam')} of {counted(len(rows), 'object')} rendered again at reference accuracy: "
-        f"of {hits} true hits {missed} missed, {wrong} on another surface, {false} false; "
+        f"of {hits} true hits, {missed} missed and {wrong} on another surface; {false} false hits; "
         f"depth error at most {depth:.2g} mm."
     )
 
@@ -111,7 +111,7 @@ def _spent(timings: pd.DataFrame) -> str:
     stages = timings.groupby("stage")["milliseconds"].sum().sort_values(ascending=False)
     tasks, total = timings["task_id"].nunique(), float(stages.get("total", 0.0))
     if not tasks or not total:
-        return "No times."
+        return "No timings."
     parts = stages.drop("total") / total
     shares = [f"{str(name).replace('_', ' ')} {share:.0%}" for name, share in parts[parts >= 0.01].items()]
     other = 1.0 - float(parts[parts >= 0.01].sum())

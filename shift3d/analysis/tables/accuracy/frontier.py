@@ -26,19 +26,17 @@ class _Column:
 
 
 _COLUMNS = (
-    _Column(
-        "conditions", "conditions", str, "cold or warm, with an SDF grid of the shape, ready for a gradient", False
-    ),
-    _Column("time", "ms_median", milliseconds, "of one rendering, median"),
+    _Column("conditions", "conditions", str, "cold or warm start, SDF grid of the shape, gradient", False),
+    _Column("time", "ms_median", milliseconds, "median time of one rendering"),
     _Column("from", "ms_low", milliseconds, "lower quartile of the time", False),
     _Column("to", "ms_high", milliseconds, "upper quartile of the time", False),
     _Column("x paper", "ratio_to_paper", factor, "times as fast as paper as published"),
-    _Column("x chord", "ratio_to_paper_chord", factor, "times as fast as paper, sphere chord only"),
-    _Column("evals", "evaluations_per_beam", factor, "decoder evaluations a beam through the object's ball"),
-    _Column("missed", "missed_hits", share, "hits that were not found"),
-    _Column("2 cm", "missed_hits_2cm", share, "the same, of the hits whose chord is at least 2 cm"),
-    _Column("wrong", "wrong_surface", share, "hits on a surface that is not the first"),
-    _Column("false", "false_hits", share, "hits where there is none"),
+    _Column("x chord", "ratio_to_paper_chord", factor, "times as fast as the setting 'paper, sphere chord only'"),
+    _Column("evals", "evaluations_per_beam", factor, "decoder evaluations per beam through the object's sphere"),
+    _Column("missed", "missed_hits", share, "hits that the setting did not find"),
+    _Column("2 cm", "missed_hits_2cm", share, "missed, of the hits whose chord is at least 2 cm"),
+    _Column("wrong", "wrong_surface", share, "hits on a surface other than the first"),
+    _Column("false", "false_hits", share, "hits where the beam meets no surface"),
     _Column("p50", "depth_p50_m", length, "depth error of hits on the right surface, median"),
     _Column("p99", "depth_p99_m", length, "depth error of hits on the right surface, 99th percentile"),
     _Column("max", "depth_max_m", length, "depth error of hits on the right surface, maximum"),
@@ -46,24 +44,24 @@ _COLUMNS = (
     _Column(
         "error", "error_m", length, f"bound on a beam's mean depth error; a misplaced beam counts {MISPLACED_M:g} m"
     ),
-    _Column("cosine", "gradient_cosine", "{:.6f}".format, "of the loss's gradient with that of reference"),
-    _Column("norm", "gradient_norm_ratio", "{:.4f}".format, "length of that gradient over that of reference", False),
-    _Column("score", "score_delta", "{:.1e}".format, "mean change of the final score, without sign", False),
+    _Column("cosine", "gradient_cosine", "{:.6f}".format, "cosine between the loss's gradient and that of reference"),
+    _Column("norm", "gradient_norm_ratio", "{:.4f}".format, "norm of the gradient over that of reference", False),
+    _Column("score", "score_delta", "{:.1e}".format, "mean absolute change of the final score", False),
     _Column("AUC", "auc_delta", "{:+.1e}".format, "change of the AUC"),
     _Column("attack", "attack_score", "{:.4f}".format, "mean score that short attacks on shape and pose reach"),
-    _Column("detector", "detector_ms_median", milliseconds, "forward and backward, median", False),
-    _Column("step", "step_ms_median", milliseconds, "a whole attack step, median"),
+    _Column("detector", "detector_ms_median", milliseconds, "detector's forward and backward pass, median", False),
+    _Column("step", "step_ms_median", milliseconds, "median time of a whole attack step"),
     _Column("step x", "step_ratio_to_paper", factor, "times as fast as the published step"),
-    _Column("open", "unresolved_beams", "{:,}".format, "beams that could not be decided", False),
-    _Column("front", "pareto", lambda flag: "*" if flag else "", "no setting that could be used instead is better"),
+    _Column("open", "unresolved_beams", "{:,}".format, "beams whose hit could not be decided", False),
+    _Column("front", "pareto", lambda flag: "*" if flag else "", "on the Pareto front: no usable setting is better"),
 )
 RULE = (
-    "A setting is dominated, and grey, where another one on the same scenes takes no more time, has no larger error, "
-    "and is better in one of the two. A setting that needs a previous rendering (warm) or an SDF grid dominates only "
-    "such as have it, too, and what is ready for a gradient is dominated only by what is ready for the same. "
-    f"The error is a bound on the mean error of a beam's depth: half of the median, 0.49 of the 99th percentile, 0.01 "
-    f"of the maximum, and {MISPLACED_M:g} m for every beam that missed, hit a wrong surface, or hit nothing that is "
-    "there. On the diagrams an error of zero has its place left of the dashed line."
+    "A setting is dominated, and grey, if another setting on the same scenes takes no more time, has no larger error, "
+    "and is better in time or error. A setting that needs a previous rendering (warm) or an SDF grid dominates only "
+    "settings with the same need. A setting with a gradient is dominated only by settings with the same gradient. "
+    "The error bounds the mean depth error of a beam: half of the median, plus 0.49 of the 99th percentile, plus 0.01 "
+    f"of the maximum, plus {MISPLACED_M:g} m for every beam with a missed hit, a wrong surface or a false hit. The "
+    "diagrams place an error of zero left of the dashed line."
 )
 
 
