@@ -69,7 +69,7 @@ class OpenPcdetScenes(RecordedScenes):
         sensor_m: position of the LiDAR in the frame of the points and labels, metres; axes are x forward, y left, z up.
         ground_z_m: height of the ground in that frame; None: estimated for each frame.
         reflectance_max: full reflectance in the fourth column; None: 1, or 255 if the column has such whole numbers.
-        keep_bad: also list frames of the split whose point file is missing; loading one raises InputError.
+        list_unreadable: also list frames of the split whose point file is missing; loading one raises InputError.
 
     A scene's origin is the LiDAR: points and boxes are moved there. A frame's points are rows of x, y, z and, from four
     columns on, reflectance. A label is ``x y z dx dy dz heading class``: box centre, heading counter-clockwise from +x.
@@ -88,9 +88,9 @@ class OpenPcdetScenes(RecordedScenes):
         sensor_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
         ground_z_m: float | None = None,
         reflectance_max: float | None = None,
-        keep_bad: bool = False,
+        list_unreadable: bool = False,
     ) -> None:
-        super().__init__(root, names, count, keep_bad)
+        super().__init__(root, names, count, list_unreadable)
         self.sensor_m, self.ground_z_m, self.reflectance_max = tuple(sensor_m), ground_z_m, reflectance_max
         self._split = split
         inside = names_in(self.root)
@@ -112,7 +112,7 @@ class OpenPcdetScenes(RecordedScenes):
         listed_in = self.root / "ImageSets" / f"{self._split}.txt"
         listed = _listed_in(listed_in)
         absent = sorted(set(listed) - set(found))
-        if absent and not self.keep_bad:
+        if absent and not self.list_unreadable:
             remedy = "Add the frame, or leave it out of the list"
             raise InputError(f"no frame points/{absent[0]}.npy", str(listed_in), remedy)
         return listed

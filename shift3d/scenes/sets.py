@@ -84,14 +84,16 @@ class RecordedScenes(ABC):
         root: folder or bucket.
         names: scenes to use, in this order; None: all scenes found.
         count: maximum number of scenes; the search stops there.
-        keep_bad: also list named scenes that do not exist; loading one raises InputError.
+        list_unreadable: also list named scenes that do not exist; loading one raises InputError.
     """
 
     dataset: str
     placement_sector_rad: tuple[float, float] = (0.0, float(np.pi))
 
-    def __init__(self, root: LocationLike, names: Sequence[str] | None, count: int | None, keep_bad: bool) -> None:
-        self.root, self._count, self.keep_bad = as_location(root), count, keep_bad
+    def __init__(
+        self, root: LocationLike, names: Sequence[str] | None, count: int | None, list_unreadable: bool
+    ) -> None:
+        self.root, self._count, self.list_unreadable = as_location(root), count, list_unreadable
         self._wanted = None if names is None else list(names)[:count]
 
     def names(self) -> list[str]:
@@ -104,7 +106,7 @@ class RecordedScenes(ABC):
     @functools.cached_property
     def _listed(self) -> list[str]:
         wanted = self._wanted
-        if wanted and self.keep_bad:
+        if wanted and self.list_unreadable:
             return wanted
         found = list(islice(self._found(), self._count if wanted is None else None))
         if missing := sorted(set(wanted or ()) - set(found)):

@@ -38,7 +38,7 @@ class Argoverse2Scenes(RecordedScenes):
         names: ``LOG-TIMESTAMP`` of the sweeps to use; None: every sweep, in order.
         count: maximum number of sweeps; the search stops there.
         every: use every n-th sweep of each log; has no effect on named sweeps.
-        keep_bad: also list named sweeps that do not exist; loading one raises InputError.
+        list_unreadable: also list named sweeps that do not exist; loading one raises InputError.
 
     A scene's origin is the upper LiDAR, its axes are the vehicle's, its time 0 the sweep's start. Points keep the order
     of the file. Every beam starts at its LiDAR's position at the firing time (two LiDARs of 32 beams, one above the
@@ -59,9 +59,9 @@ class Argoverse2Scenes(RecordedScenes):
         names: Sequence[str] | None = None,
         count: int | None = None,
         every: int = 1,
-        keep_bad: bool = False,
+        list_unreadable: bool = False,
     ) -> None:
-        super().__init__(root, names, count, keep_bad)
+        super().__init__(root, names, count, list_unreadable)
         self.every = every
         inside = names_in(self.root)
         own = {self.root.absolute().name: self.root}  # the name of "." is empty

@@ -37,14 +37,14 @@ class KittiScenes(RecordedScenes):
         root: the folder that holds ``training/``, or ``training`` itself.
         names: frame numbers to use ("000134"); None: every frame that has a point file, sorted.
         reflectance_max: file value of full reflectance; None: 1, as in KITTI's own files.
-        keep_bad: also list frames whose files are missing; loading one raises InputError.
+        list_unreadable: also list frames whose files are missing; loading one raises InputError.
 
     Scenes keep the point order of the files. Points at zero range stay in place and carry no beam
     (:attr:`~shift3d.scenes.scene.Scene.has_beam`). The ground is searched around KITTI's 1.73 m below the LiDAR, or at
     any height if it lies more than 0.2 m from there, since other vehicles mount their LiDAR elsewhere. Labels cover
     camera 2's view only, 0.70 rad to either side of +x: placements lie within 0.6 rad, most of the vehicle in view.
 
-    Raises InputError: missing folders; without keep_bad, missing frames, or a label file without a frame.
+    Raises InputError: missing folders; without list_unreadable, missing frames, or a label file without a frame.
     """
 
     dataset = "kitti"
@@ -55,9 +55,9 @@ class KittiScenes(RecordedScenes):
         root: LocationLike,
         names: Sequence[str] | None = None,
         reflectance_max: float | None = None,
-        keep_bad: bool = False,
+        list_unreadable: bool = False,
     ) -> None:
-        super().__init__(root, names, None, keep_bad)
+        super().__init__(root, names, None, list_unreadable)
         self.reflectance_max = reflectance_max
         self.folder = self.root if "velodyne" in names_in(self.root) else self.root / "training"
         parts = names_in(self.folder)
@@ -75,11 +75,11 @@ class KittiScenes(RecordedScenes):
         frames = set(stems_in(self.folder / "velodyne", ".bin"))
         labelled = set() if self._labels_in is None else set(stems_in(self._labels_in, ".txt"))
         orphans = sorted(labelled - frames)
-        if orphans and self._wanted is None and not self.keep_bad:
+        if orphans and self._wanted is None and not self.list_unreadable:
             what = f"no frame velodyne/{orphans[0]}.bin"
             remedy = "Add the frame, remove the label file, or list the frames to use in scenes.names."
             raise InputError(what, str(self.folder / "label_2" / f"{orphans[0]}.txt"), remedy)
-        return sorted(frames | labelled if self.keep_bad else frames)
+        return sorted(frames | labelled if self.list_unreadable else frames)
 
     def _read(self, name: str) -> Scene:
         self._require_listed(name)

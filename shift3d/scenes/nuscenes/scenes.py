@@ -38,7 +38,7 @@ class NuScenesScenes(RecordedScenes):
         count: maximum number of scenes.
         version: the folder of tables, such as v1.0-mini; None: the only folder.
         sweeps: number of sweeps in a scene: the key frame and those before it, fewer at the start of a drive.
-        keep_bad: also list names that no table has; loading one raises InputError.
+        list_unreadable: also list names that no table has; loading one raises InputError.
 
     A scene's origin is the LiDAR at the key frame, its axes are the vehicle's. Its points are the key frame's, in the
     order of the file, then those of each earlier sweep, moved to the key frame by the vehicle's poses. Beams start at
@@ -59,9 +59,9 @@ class NuScenesScenes(RecordedScenes):
         count: int | None = None,
         version: str | None = None,
         sweeps: int = 1,
-        keep_bad: bool = False,
+        list_unreadable: bool = False,
     ) -> None:
-        super().__init__(root, names, count, keep_bad)
+        super().__init__(root, names, count, list_unreadable)
         self.sweeps = sweeps
         self._tables = _tables(self.root, version)
         self._stems = [] if self._tables else stems_in(self.root, _SUFFIX)

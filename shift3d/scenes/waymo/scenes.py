@@ -45,7 +45,7 @@ class WaymoScenes(RecordedScenes):
         count: maximum number of frames; the search stops there.
         lasers: names of the sensors to use, from `LASERS`.
         every: use every n-th frame of each segment; has no effect on named frames.
-        keep_bad: list a segment with an unreadable list of frames under its own name; loading it raises InputError.
+        list_unreadable: list a segment with an unreadable list of frames under its own name; loading it raises InputError.
 
     A scene's origin is the TOP laser (its axes are the vehicle's), whether or not that laser is used. Points are
     ordered by laser, then by return, then row by row of the range image. Pixels without a range in both returns are
@@ -65,9 +65,9 @@ class WaymoScenes(RecordedScenes):
         count: int | None = None,
         lasers: Sequence[str] = tuple(LASERS),
         every: int = 1,
-        keep_bad: bool = False,
+        list_unreadable: bool = False,
     ) -> None:
-        super().__init__(root, names, count, keep_bad)
+        super().__init__(root, names, count, list_unreadable)
         self.lasers, self.every = tuple(lasers), every
         unknown = [name for name in lasers if name not in LASERS]
         if unknown or not lasers:
@@ -131,7 +131,7 @@ class WaymoScenes(RecordedScenes):
         try:
             timestamps = component_file(self.root, "lidar", segment).timestamps()
         except InputError:
-            if not self.keep_bad:
+            if not self.list_unreadable:
                 raise
             return [segment]
         return [f"{segment}-{timestamp}" for timestamp in timestamps[:: self.every if self._wanted is None else 1]]
@@ -139,7 +139,7 @@ class WaymoScenes(RecordedScenes):
     def _split(self, name: str) -> tuple[str, int]:
         segment, _, timestamp = name.rpartition("-")
         if not timestamp.isdecimal() or segment not in self._segments:
-            if name in self._segments:  # a bad segment listed by keep_bad: raise its error
+            if name in self._segments:  # a bad segment listed by list_unreadable: raise its error
                 component_file(self.root, "lidar", name).timestamps()
             remedy = f"Choose a segment from: {abbreviated_list(self._segments)}"
             raise InputError(f"unknown scene {name!r}", str(self.root), remedy)

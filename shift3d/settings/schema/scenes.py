@@ -131,24 +131,24 @@ def scene_set(config: SceneConfig) -> SceneSet:
         return StreetScenes(config.sensor, config.seed, config.count, config.split, options=config.options())
     if isinstance(config, KittiConfig):
         return _kitti(config)
-    root, names, count, keep_bad = config.root, config.names, config.count, config.skip_bad
+    root, names, count, list_unreadable = config.root, config.names, config.count, config.skip_bad
     if isinstance(config, WaymoConfig):
         from shift3d.scenes.waymo.scenes import WaymoScenes
 
-        return WaymoScenes(root, names, count, config.lasers, config.every, keep_bad)
+        return WaymoScenes(root, names, count, config.lasers, config.every, list_unreadable)
     if isinstance(config, Argoverse2Config):
         from shift3d.scenes.argoverse2.scenes import Argoverse2Scenes
 
-        return Argoverse2Scenes(root, names, count, config.every, keep_bad)
+        return Argoverse2Scenes(root, names, count, config.every, list_unreadable)
     if isinstance(config, NuScenesConfig):
         from shift3d.scenes.nuscenes.scenes import NuScenesScenes
 
-        return NuScenesScenes(root, names, count, config.version, config.sweeps, keep_bad)
+        return NuScenesScenes(root, names, count, config.version, config.sweeps, list_unreadable)
     from shift3d.scenes.openpcdet import OpenPcdetScenes
 
     x, y, z = config.sensor_m
     constants = (config.ground_z_m, config.reflectance_max)
-    return OpenPcdetScenes(root, names, count, config.split, (x, y, z), *constants, keep_bad)
+    return OpenPcdetScenes(root, names, count, config.split, (x, y, z), *constants, list_unreadable)
 
 
 def _kitti(config: KittiConfig) -> SceneSet:

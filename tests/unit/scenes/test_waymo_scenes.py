@@ -292,9 +292,9 @@ def test_a_bad_segment_is_listed_where_bad_scenes_are_kept(tmp_path: Path) -> No
     (tmp_path / "lidar" / "another.parquet").write_bytes(b"PAR1")
     with pytest.raises(InputError, match=r"another\.parquet"):
         WaymoScenes(tmp_path).names()
-    scenes = WaymoScenes(tmp_path, keep_bad=True)
+    scenes = WaymoScenes(tmp_path, list_unreadable=True)
     assert scenes.names() == [f"{SEGMENT}-{START}", "another"]
-    named = WaymoScenes(tmp_path, [f"{SEGMENT}-{START}", "another-5"], keep_bad=True)
+    named = WaymoScenes(tmp_path, [f"{SEGMENT}-{START}", "another-5"], list_unreadable=True)
     assert named.names() == [f"{SEGMENT}-{START}", "another-5"]
     for one, name in ((scenes, "another"), (named, "another-5")):
         with pytest.raises(InputError, match=r"another\.parquet.*not a readable"):

@@ -145,6 +145,8 @@ def test_a_named_scene_of_a_drive_that_is_not_there_is_left_out(tmp_path: Path, 
     }[reader]
     write(tmp_path / "root")
     good = kind(tmp_path / "root").names()[0]
-    entries, skipped = entries_and_skipped(kind(tmp_path / "root", [good, "absent-1"], keep_bad=True), skip_bad=True)
+    entries, skipped = entries_and_skipped(
+        kind(tmp_path / "root", [good, "absent-1"], list_unreadable=True), skip_bad=True
+    )
     assert [entry.name for entry in entries] == [good]
     assert list(skipped) == ["absent-1"] and "unknown scene 'absent-1'" in skipped["absent-1"]
