@@ -45,7 +45,7 @@ class WaymoScenes(RecordedScenes):
         count: maximum number of frames; the search stops there.
         lasers: names of the sensors to use, from `LASERS`.
         every: use every n-th frame of each segment; has no effect on named frames.
-        list_unreadable: list a segment with an unreadable list of frames under its own name; loading it raises InputError.
+        list_unreadable: list a segment without a readable list of frames by its own name; loading raises InputError.
 
     A scene's origin is the TOP laser (its axes are the vehicle's), whether or not that laser is used. Points are
     ordered by laser, then by return, then row by row of the range image. Pixels without a range in both returns are
