@@ -93,7 +93,11 @@ class TrainedDetector(NmsDetector):
         net = self._net
         if isinstance(net, SstNet):
             return IncrementalTokens(net, window, self._dtype, self.proposals, self._answer)
-        if not (isinstance(net, PillarBackboneNet) and net.is_cellwise and IncrementalPillars.is_aligned(net, window)):
+        if not (
+            isinstance(net, PillarBackboneNet)
+            and net.supports_incremental
+            and IncrementalPillars.is_aligned(net, window)
+        ):
             return UncachedInference(self, window)
         if self._cells is None:
             self._cells = SparseBackbone(net.backbone, net.heads, self._dtype)

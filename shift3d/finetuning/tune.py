@@ -85,7 +85,7 @@ def object_scene(row: SweepObject, assets: Assets) -> TrainingScene:
     on_ground = points.numpy()[kept].astype(np.float32) - np.array((0.0, 0.0, scene.ground_z_m), dtype=np.float32)
     boxes = np.concatenate((boxes, own[None].astype(np.float32)))
     # A pose search may have moved the object out of the sector of its placement.
-    return cut_scene(on_ground, boxes, -float(scene.ground_z_m), _sector_rad(row.spec), last_stays=True)
+    return cut_scene(on_ground, boxes, -float(scene.ground_z_m), _sector_rad(row.spec), keep_last_box=True)
 
 
 def _sector_rad(spec: TaskSpec) -> tuple[float, float]:

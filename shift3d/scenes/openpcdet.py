@@ -135,7 +135,7 @@ class OpenPcdetScenes(RecordedScenes):
             reflectance=self._reflectance(values, file),
         )
 
-    def _made_of(self, name: str) -> tuple[Sequence[float | None], Sequence[Location]]:
+    def _settings_and_files(self, name: str) -> tuple[Sequence[float | None], Sequence[Location]]:
         files = (self.root / "points" / f"{name}.npy", self.root / "labels" / f"{name}.txt")
         return (*self.sensor_m, self.ground_z_m, self.reflectance_max, self._has_labels), files
 

@@ -148,11 +148,11 @@ class RecordedScenes(ABC):
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """Return the settings of a scene, and path and version of each of its files; see `SceneSet`."""
-        settings, files = self._made_of(name)
+        settings, files = self._settings_and_files(name)
         return (self.dataset, name, *settings, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     @abstractmethod
-    def _made_of(self, name: str) -> tuple[Iterable[str | int | float | None], Iterable[Location]]:
+    def _settings_and_files(self, name: str) -> tuple[Iterable[str | int | float | None], Iterable[Location]]:
         """Return the settings and the files of a scene."""
 
 

@@ -39,7 +39,7 @@ _DTYPES = {"float32": torch.float32, "float64": torch.float64}
 # Tasks are grouped by vehicle, so the same scenes are needed repeatedly; a scene with its beams is 15 MB.
 _SCENES_KEPT = 16
 # An SDF grid of a car takes 1 MB and some seconds.
-_SPACES_KEPT = 64
+_SDF_GRIDS_KEPT = 64
 
 
 @dataclass
@@ -68,7 +68,7 @@ class Assets:
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
     _vehicle_hashes: dict[str, str] = field(default_factory=dict)
     _own_naturalness: dict[str, NaturalnessMeasure] = field(default_factory=dict)
-    _spaces: OrderedDict[tuple[str, RenderSettings], SdfGrid] = field(default_factory=OrderedDict)
+    _sdf_grids: OrderedDict[tuple[str, RenderSettings], SdfGrid] = field(default_factory=OrderedDict)
 
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
         """Return a task's scene and its beams. Raises: InputError: unknown name, bad frame, or not as planned."""
@@ -85,7 +85,7 @@ class Assets:
         self._scenes.move_to_end(name)
         return self._scenes[name]
 
-    def placing_scene(self, spec: TaskSpec) -> tuple[Scene, Beams, str]:
+    def placement_scene(self, spec: TaskSpec) -> tuple[Scene, Beams, str]:
         """Return the scene for the task's placement, its beams and hash: the task's own scene, except for a street.
 
         A street is seen by its own sensor, so that placements are the same under any beams. Raises: as `scene`.
@@ -168,7 +168,7 @@ class Assets:
         own, name = self.vehicle(spec), solution.get("drawn_as")
         return self.vehicles.vehicle(name) if isinstance(name, str) and name != own.name else own
 
-    def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
+    def sdf_grid_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
         """Return an SDF grid of the task's vehicle at these settings; None if the settings use none.
 
         The grid depends on the vehicle's code alone; it is made once per vehicle, or read from the user's cache folder.
@@ -177,7 +177,7 @@ class Assets:
         if not settings.sdf_grid or settings.solver != "sphere_tracing":
             return None
         key = (spec.vehicle, settings)
-        if key not in self._spaces:
+        if key not in self._sdf_grids:
             vehicle = self.vehicle(spec)
 
             def make() -> SdfGrid:
@@ -185,11 +185,11 @@ class Assets:
                 with torch.no_grad():
                     return SdfGrid.of(self.decoder_of(settings.dtype).field(code), vehicle, settings)
 
-            self._spaces[key] = cached_grid(self._decoder_hash, self._vehicle_hashes[spec.vehicle], settings, make)
-            if len(self._spaces) > _SPACES_KEPT:
-                self._spaces.popitem(last=False)
-        self._spaces.move_to_end(key)
-        return self._spaces[key]
+            self._sdf_grids[key] = cached_grid(self._decoder_hash, self._vehicle_hashes[spec.vehicle], settings, make)
+            if len(self._sdf_grids) > _SDF_GRIDS_KEPT:
+                self._sdf_grids.popitem(last=False)
+        self._sdf_grids.move_to_end(key)
+        return self._sdf_grids[key]
 
 
 def require_planned_hash(what: str, planned: str | None, found: str) -> None:

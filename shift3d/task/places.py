@@ -32,7 +32,7 @@ def scene_vehicle_centres(scene: Scene) -> Tensor:
     return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())
 
 
-def site_of(scene: Scene, beams: Beams) -> PlacementContext:
+def placement_context_of(scene: Scene, beams: Beams) -> PlacementContext:
     """Return the facts about a scene, seen by these beams, that decide about places."""
     zone = scene.in_no_label_zone
     unlabelled = None if zone is None else scene.points[zone & scene.has_beam, :2]
@@ -46,7 +46,7 @@ def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
     """
     own = scenes.with_own_sensor(name) if isinstance(scenes, StreetScenes) else None
     scene = scenes.load(name) if own is None else own[0].load(own[1])
-    return survey(site_of(scene, Beams.of_main_sensor(scene)), limits_of(where), constraints_of(where))
+    return survey(placement_context_of(scene, Beams.of_main_sensor(scene)), limits_of(where), constraints_of(where))
 
 
 NO_GROUND = (

@@ -14,7 +14,7 @@ from shift3d.render.settings import STANDARD
 from shift3d.scenes.facts import EffectSettings
 from shift3d.seeding import derive_seed, generator
 from shift3d.task.assets import Assets, render_settings, score_precision
-from shift3d.task.places import constraints_of, limits_of, scene_vehicle_centres, site_of
+from shift3d.task.places import constraints_of, limits_of, placement_context_of, scene_vehicle_centres
 from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
@@ -28,19 +28,19 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     Independent of the task's mode, loss weights, accuracy and detector, and of the beams that see the street. Source:
     our choice: the paper is silent.
     """
-    scene, beams, scene_hash = assets.placing_scene(spec)
+    scene, beams, scene_hash = assets.placement_scene(spec)
     vehicle = assets.vehicle(spec)
     # Always at standard accuracy: rounding that rejects one draw would move the vehicle to another place, and
     # accuracies could not be compared object by object. Without an SDF grid, which takes longer than it saves.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", replace(spec, scene_hash=scene_hash).placement_seed)
     limits, constraints = limits_of(spec.placement), constraints_of(spec.placement)
-    return place(site_of(scene, beams), sdf, vehicle, rng, limits, constraints)
+    return place(placement_context_of(scene, beams), sdf, vehicle, rng, limits, constraints)
 
 
 def placed_pose(spec: TaskSpec, assets: Assets) -> Tensor | None:
     """Return (6,) float64 pose of `place_vehicle`, None if there is no place; computed once per worker and place."""
-    _, _, scene_hash = assets.placing_scene(spec)
+    _, _, scene_hash = assets.placement_scene(spec)
     assets.vehicle(spec)  # raises if the vehicle differs from the plan
     kept, key = assets.poses, (spec.vehicle, spec.scene, replace(spec, scene_hash=scene_hash).placement_seed)
     if key not in kept:
@@ -58,7 +58,7 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
     """
     scene, beams = assets.scene(spec)
     settings = render_settings(spec)
-    space = assets.space_of(spec, settings) if vehicle is None else None
+    space = assets.sdf_grid_of(spec, settings) if vehicle is None else None
     vehicle = vehicle or assets.vehicle(spec)
     return AttackProblem(
         beams=beams,

@@ -55,7 +55,7 @@ def score_transfers(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehic
 
 def _moved(spec: TaskSpec, other: TransferScene, assets: Assets) -> TaskSpec:
     """Move the task to another scene; the place there does not depend on the beams that see the task's own scene."""
-    return spec.moved_to(other, assets.placing_scene(spec)[2])
+    return spec.moved_to(other, assets.placement_scene(spec)[2])
 
 
 def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor, vehicle: Vehicle | None) -> Iterator[Row]:

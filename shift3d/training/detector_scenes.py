@@ -61,20 +61,23 @@ def cut_scene(
     boxes: npt.NDArray[np.float32],
     sensor_height_m: float,
     sector_rad: tuple[float, float] = FULL_CIRCLE_RAD,
-    last_stays: bool = False,
+    keep_last_box: bool = False,
 ) -> TrainingScene:
     """Apply `from_scene` to points (N, 3) and vehicle boxes (M, 7) in the network frame. Boxes keep their order.
 
-    last_stays: keep the last box even if its centre is outside the sector.
+    keep_last_box: keep the last box even if its centre is outside the sector.
     """
     points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_HALF_WIDTH_M]
     if sector_rad[1] < np.pi:
-        points, boxes = _labelled_part(points, boxes, sector_rad, last_stays)
+        points, boxes = _labelled_part(points, boxes, sector_rad, keep_last_box)
     return TrainingScene(points, boxes, sensor_height_m)
 
 
 def _labelled_part(
-    points: npt.NDArray[np.float32], boxes: npt.NDArray[np.float32], sector_rad: tuple[float, float], last_stays: bool
+    points: npt.NDArray[np.float32],
+    boxes: npt.NDArray[np.float32],
+    sector_rad: tuple[float, float],
+    keep_last_box: bool,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     centre, half_width = sector_rad
 
@@ -84,7 +87,7 @@ def _labelled_part(
         return inside
 
     labelled = within(boxes)
-    if last_stays:
+    if keep_last_box:
         labelled[-1:] = True
     on_vehicle = points_in_boxes(points, boxes, MARGIN_M)
     kept = (within(points) | on_vehicle[labelled].any(axis=0)) & ~on_vehicle[~labelled].any(axis=0)

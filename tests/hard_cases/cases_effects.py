@@ -102,7 +102,7 @@ def a_scene_in_which_every_point_is_lost_in_fog() -> None:
 @hard_case(
     area=AREA,
     why="the tables of drops take the logarithm of the power to outdo, which is 0 for a surface along the beam",
-    must="such echoes are weakened and outdone by drops; nothing is NaN",
+    must="such echoes are weakened and power_to_exceed by drops; nothing is NaN",
     guard="powers outside a table are taken for those at its ends, before the logarithm",
 )
 def a_surface_met_at_90_degrees_in_rain() -> None:

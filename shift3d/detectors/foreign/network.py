@@ -184,8 +184,8 @@ class ForeignNet(PillarBackboneNet):
             self.tower, self.heads, self._reach_cells = CentreTower(channels, layout.head), TowerOutputHeads(), 0
 
     @property
-    def is_cellwise(self) -> bool:
-        return self.tower is None and super().is_cellwise
+    def supports_incremental(self) -> bool:
+        return self.tower is None and super().supports_incremental
 
     def decorated(self, points: Tensor, pillars: Pillars) -> Tensor:
         return foreign_inputs(points, pillars, self.grid, self.layout.inputs)

@@ -55,7 +55,7 @@ class PillarBackboneNet(DetectorNet):
         self.backbone = Backbone(spec)
 
     @property
-    def is_cellwise(self) -> bool:
+    def supports_incremental(self) -> bool:
         """True if every block is upsampled (factor >= 1) to the output map, as incremental inference needs."""
         return self.spec.out_stride <= min(self.spec.total_strides)
 

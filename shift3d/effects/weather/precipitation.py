@@ -204,8 +204,8 @@ class ParticleEchoes:
         power = echo_power(returns.albedo, returns.cosine, range_m)
         lost = self.limit.lost(returns, power, transmission)
         seen = echo_power(returns.albedo.clamp(min=LEAST_ALBEDO), returns.cosine, range_m) * transmission
-        outdone = seen.clamp(min=self.limit.least).numpy()
-        nearest = self.crossings.nearest(outdone, range_m.numpy(), self.arrival[returns.row].numpy())
+        power_to_exceed = seen.clamp(min=self.limit.least).numpy()
+        nearest = self.crossings.nearest(power_to_exceed, range_m.numpy(), self.arrival[returns.row].numpy())
         particle = returns.returned & torch.from_numpy(np.isfinite(nearest))
         surface = returns.returned & ~particle & ~lost
         outdone_later = torch.zeros_like(particle) if self.later is None else particle & self.later[returns.row]
@@ -222,16 +222,16 @@ class ParticleEchoes:
             shift = self.noise[returns.row] * weather_range_noise_m(weak, transmission, self.limit.least)
             points = torch.where(surface[:, None], changed.points + shift[:, None] * changed.directions, changed.points)
             changed = replace(changed, points=points)
-        return self._with_particles(changed, particle, nearest, outdone)
+        return self._with_particles(changed, particle, nearest, power_to_exceed)
 
     def _with_particles(
-        self, returns: Returns, particle: Tensor, nearest: NDArray[np.float64], outdone: NDArray[np.float64]
+        self, returns: Returns, particle: Tensor, nearest: NDArray[np.float64], power_to_exceed: NDArray[np.float64]
     ) -> Returns:
         row, kind = particle.nonzero().squeeze(1), self.crossings.particles
         at_m = nearest[row.numpy()]
         # The exponential distribution is memoryless: the excess over a bound is distributed like the whole.
         beyond = self.size[returns.row[row]].numpy() / kind.slope
-        diameter = self.crossings.least_mm(outdone[row.numpy()], at_m) + beyond
+        diameter = self.crossings.least_mm(power_to_exceed[row.numpy()], at_m) + beyond
         share = np.minimum(1e-3 * diameter / self.crossings.width_m(at_m), 1.0) ** 2
         sent = torch.from_numpy(kind.albedo * share * np.exp(-2.0 * kind.extinction_per_m * at_m))
         return replace(

@@ -90,7 +90,7 @@ class Argoverse2Scenes(RecordedScenes):
             ground_map=read_ground_map(log, city_SE3_scene),
         )
 
-    def _made_of(self, name: str) -> tuple[tuple[()], Sequence[Location]]:
+    def _settings_and_files(self, name: str) -> tuple[tuple[()], Sequence[Location]]:
         try:
             log, timestamp = self._split(name)
         except InputError:

@@ -95,7 +95,7 @@ class KittiScenes(RecordedScenes):
             reflectance=reflectance,
         )
 
-    def _made_of(self, name: str) -> tuple[Sequence[float | None], list[Location]]:
+    def _settings_and_files(self, name: str) -> tuple[Sequence[float | None], list[Location]]:
         parts = (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt"), (GROUND, "txt"))
         files = [self.folder / part / f"{name}.{suffix}" for part, suffix in parts]
         return (self.reflectance_max, self._labels_in is not None), files

@@ -102,7 +102,7 @@ class NuScenesScenes(RecordedScenes):
             ),
         )
 
-    def _made_of(self, name: str) -> tuple[Sequence[int], list[Location]]:
+    def _settings_and_files(self, name: str) -> tuple[Sequence[int], list[Location]]:
         if self._tables is None:
             return (self.sweeps,), [_stem_file(self.root, name)]
         parts = self._files(name) if name in self._release.key_frames else []

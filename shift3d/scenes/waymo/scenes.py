@@ -110,7 +110,7 @@ class WaymoScenes(RecordedScenes):
             in_no_label_zone=zone,
         )
 
-    def _made_of(self, name: str) -> tuple[Sequence[str], list[Location]]:
+    def _settings_and_files(self, name: str) -> tuple[Sequence[str], list[Location]]:
         segment, parts = name.rpartition("-")[0] or name, (*COMPONENTS, *_OPTIONAL)
         return self.lasers, [component_file(self.root, part, segment).file for part in parts]
 

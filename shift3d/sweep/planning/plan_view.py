@@ -33,7 +33,7 @@ def plan_summary(plan: Plan) -> str:
 def merged_lines(tasks: Tasks) -> list[str]:
     """Return lines on the settings that the printed AUCs average over, and whether a table column separates their
     values; and on scenes that no column separates."""
-    mixed = merged_settings(tasks, of_a_data_set=True)
+    mixed = merged_settings(tasks, within_data_set=True)
     by_dataset = [name for name in merged_settings(tasks) if name not in mixed]
     lines = [(mixed, "no table column separates"), (by_dataset, "the column dataset separates")]
     found = [f"AUCs average over {' and '.join(names)}: {which} their values" for names, which in lines if names]

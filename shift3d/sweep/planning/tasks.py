@@ -183,17 +183,17 @@ class Tasks(Sequence[PlannedTask]):
         return [[] if at is None else list(self.requested_values[self.requested[at]]) for at in found]
 
 
-def merged_settings(tasks: Tasks, of_a_data_set: bool = False) -> list[str]:
+def merged_settings(tasks: Tasks, within_data_set: bool = False) -> list[str]:
     """Return the settings with several values that an AUC averages over.
 
-    of_a_data_set: only settings that vary within a data set, which no table column separates. Replicates and seeds are
+    within_data_set: settings that vary within a data set, which no table column separates. Replicates and seeds are
     meant to be averaged and are excluded.
     """
     seen: dict[tuple[object, ...], dict[str, list[Any]]] = {}
     for group in tasks.groups():
         spec = group.template
         scenes = tuple(spec.scene_arguments.get(name) for name in _OF_A_DATA_SET)
-        dataset = spec.dataset if of_a_data_set else None
+        dataset = spec.dataset if within_data_set else None
         key = (spec.vehicle, dataset, *scenes, spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
         for requested in group.effects_requested:
             values = seen.setdefault((*key, spec.search, requested), {})

@@ -76,7 +76,7 @@ def train_detector(
     weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
     export_weights(net, weights_file, recipe)
     started = {"started_from": None if begun_with is None else begun_with.name, "before": before}
-    write_provenance(weights_file, started | _made_of(recipe, scenes) | training_facts(out_dir, recipe, compute))
+    write_provenance(weights_file, started | _recipe_facts(recipe, scenes) | training_facts(out_dir, recipe, compute))
 
 
 def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
@@ -93,7 +93,7 @@ def _digest(scenes: SceneSet) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def _made_of(recipe: Recipe, scenes: SceneSet | None) -> dict[str, Any]:
+def _recipe_facts(recipe: Recipe, scenes: SceneSet | None) -> dict[str, Any]:
     """Return the scenes and vehicles of a training, for its provenance."""
     names = [] if scenes is None else scenes.names()
     street = {"dataset": f"street-mixed-{TRAFFIC}", "split": "train", "count": recipe.mesh_scenes}

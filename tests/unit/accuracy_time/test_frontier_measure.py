@@ -48,7 +48,7 @@ class SoftAssets:
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
         return self._scene, Beams.from_scene(self._scene)
 
-    def placing_scene(self, spec: TaskSpec) -> tuple[Scene, Beams, str]:
+    def placement_scene(self, spec: TaskSpec) -> tuple[Scene, Beams, str]:
         return *self.scene(spec), spec.scene_hash
 
     def vehicle(self, spec: TaskSpec) -> SoftVehicle:
@@ -60,7 +60,7 @@ class SoftAssets:
 
         return Decoder()
 
-    def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
+    def sdf_grid_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
         if not settings.sdf_grid or settings.solver != "sphere_tracing":
             return None
         return SdfGrid.of(field_of(CODE.to(settings.dtype)), FRAME, settings)

@@ -112,8 +112,8 @@ def test_the_oldest_make_room(cache: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_another_worker_reads_the_grid_of_a_shipped_vehicle(assets: Assets, monkeypatch: pytest.MonkeyPatch) -> None:
-    one, two = (dataclasses.replace(assets, _spaces=OrderedDict()) for _ in range(2))
-    made = one.space_of(make_spec(), STANDARD)
+    one, two = (dataclasses.replace(assets, _sdf_grids=OrderedDict()) for _ in range(2))
+    made = one.sdf_grid_of(make_spec(), STANDARD)
     monkeypatch.setattr(SdfGrid, "of", never)
-    read = two.space_of(make_spec(), STANDARD)
+    read = two.sdf_grid_of(make_spec(), STANDARD)
     assert made is not None and read is not None and equal(made, read) and made.live is not None

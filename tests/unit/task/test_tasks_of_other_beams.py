@@ -85,6 +85,8 @@ def test_a_shape_is_put_into_another_scene_at_one_place_whatever_beams_see_its_o
     placed: dict[str | None, tuple[TaskSpec, Assets, Placement]],
 ) -> None:
     other = TransferScene("street_another", "hash")
-    seeds = {spec.moved_to(other, assets.placing_scene(spec)[2]).placement_seed for spec, assets, _ in placed.values()}
+    seeds = {
+        spec.moved_to(other, assets.placement_scene(spec)[2]).placement_seed for spec, assets, _ in placed.values()
+    }
     assert len(seeds) == 1
     assert len({spec.moved_to(other).placement_seed for spec, _, _ in placed.values()}) == len(placed)

@@ -243,9 +243,9 @@ def test_only_the_labelled_sector_is_trained_on() -> None:
     assert cut(inside).points.tolist() == points[:3].tolist() and len(cut(inside).boxes) == 1
     assert cut(outside).points.tolist() == points[:1].tolist() and len(cut(outside).boxes) == 0
     boxes = np.array([inside, outside], np.float32)
-    last = cut_scene(points, boxes[1:], 1.7, (0.0, 0.6), last_stays=True)
+    last = cut_scene(points, boxes[1:], 1.7, (0.0, 0.6), keep_last_box=True)
     assert last.points.tolist() == points[:3].tolist() and last.boxes.tolist() == boxes[1:].tolist()
-    assert cut_scene(points, boxes[::-1], 1.7, (0.0, 0.6), last_stays=True).boxes.tolist() == boxes[:1].tolist()
+    assert cut_scene(points, boxes[::-1], 1.7, (0.0, 0.6), keep_last_box=True).boxes.tolist() == boxes[:1].tolist()
 
 
 def test_fewer_steps_keep_the_share_without_insertions() -> None:
