@@ -111,7 +111,7 @@ def test_scenes_that_are_trained_on_and_held_out_are_refused_by_name(
     [
         (["rate=fast"], "recipe.peak_rate='fast'"),
         (["rate=0"], "peak_rate=0.0"),
-        (["scenes.split=val", "held_out.scenes.split=test"], "holds street-val-hdl64-000000, a street of split val"),
+        (["scenes.split=val", "held_out.scenes.split=test"], "contains street-val-hdl64-000000, a street of split val"),
         (["held_out.scenes.split=train", "held_out.scenes.weather=fog"], "share street-train-hdl64-000000-fog"),
     ],
 )

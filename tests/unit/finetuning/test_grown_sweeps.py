@@ -44,5 +44,5 @@ def test_objects_of_tasks_that_were_retried_are_scored_too(tmp_path: Path, monke
     file = tuned.scores_file("held_out")
     assert pq.read_table(file)["task_id"].to_pylist() == ["t0", "t0", "t1", "t1"]
     file.write_bytes(file.read_bytes()[:-20])
-    with pytest.raises(InputError, match=r"scores-held_out.*Remove it"):
+    with pytest.raises(InputError, match=r"scores-held_out.*Remove the file"):
         report.score_held_out(tmp_path, tuned)
