@@ -28,7 +28,7 @@ def context_of(sigma_m: float | None, count: int = COUNT, seed: int = 5) -> Effe
 
 
 def returns_of(context: EffectContext, rows: torch.Tensor | None = None) -> Returns:
-    """Rows halfway along their beams, on the object."""
+    """Return rows halfway along their beams, on the object."""
     beams = context.beams
     row = torch.arange(len(beams)) if rows is None else rows
     origins, directions = beams.origins[row], beams.directions[row]

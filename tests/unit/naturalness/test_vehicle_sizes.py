@@ -1,4 +1,4 @@
-"""Sizes in metres: what is measured on boxes, and which vehicles no data sheet has."""
+"""Sizes in metres: measures of boxes, and sizes that no data sheet has."""
 
 from __future__ import annotations
 

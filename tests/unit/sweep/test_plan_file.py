@@ -1,4 +1,4 @@
-"""plan.parquet: small, the same bytes for the same tasks, and never another task than was planned."""
+"""plan.parquet: small, the same bytes for the same tasks, and exactly the planned tasks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WORDS = ["effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    """Effects asked for under several settings, transfers, shape and pose."""
+    """Effects under several settings, transfers, shape and pose."""
     return make_plan(compose_sweep("default", [*WORDS, "attack.transfer_scenes=1"]), catalogue)[0]
 
 

@@ -1,4 +1,4 @@
-"""A compiled detector is held against its original wherever either finds something."""
+"""A compiled detector is compared with its original wherever either has a detection."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def pair(folder: Path, bias: float = 0.0, **parts: object) -> tuple[UserDetector
 
 @dataclasses.dataclass
 class OneBox:
-    """Finds one box, of a score."""
+    """Detector that finds one box with a given score."""
 
     score: float
     name: str = "own"
