@@ -50,7 +50,7 @@ def pytest_collection() -> Iterator[Any]:
 
 @pytest.fixture(scope="session", autouse=True)
 def compositions() -> Iterator[None]:
-    """Cache Hydra's compositions: the same words over the same files are composed once per session."""
+    """Cache of Hydra's compositions: the same words over the same files are composed once per session."""
     from shift3d.settings import compose
 
     fresh, known = compose._hydra, {}

@@ -2,10 +2,10 @@
 
 The weights undo the differences of the codebases' computations, so that both give the same numbers:
 - Their pillars are padded with points of zeros, which a bias would turn into features. The first layer's bias therefore
-is the weight of the intensity, a constant that points of zeros lack.
+  is the weight of the intensity, a constant that points of zeros lack.
 - Their origin is the sensor's: its height goes into that bias, and into the heights of anchors and boxes.
 - CenterPoint's 3x3 convolutions use the centre alone. The shared convolution holds each output's function of the
-features, once plain and once negated: a difference undoes the ReLU between it and the outputs.
+  features, once plain and once negated: a difference undoes the ReLU between it and the outputs.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Mutation testing of a seeded sample: break the code in single places, count the breaks that a test notices.
 
-python tests/mutants.py shift3d/render --count 40 --seed 0
+    python tests/mutants.py shift3d/render --count 40 --seed 0
 
 cosmic-ray makes the mutants in a copy of the tree and runs the tests that `TESTS` names for a package. A mutant counts
 as noticed when an assertion fails or an `InputError` is raised or missing (`--assertions-only`, see conftest.py). A

@@ -19,7 +19,7 @@ def spread(points: np.ndarray, bias: float = 0.0) -> np.ndarray:
 
 
 def graph_nodes() -> list[Any]:
-    """points (N, 3) -> boxes (2, 7), scores (2,)."""
+    """Return the nodes of a graph: points (N, 3) -> boxes (2, 7), scores (2,)."""
     return [
         helper.make_node("Slice", ["points", "zero", "one", "axis"], ["x"]),
         helper.make_node("ReduceMean", ["x"], ["mean"], keepdims=0),

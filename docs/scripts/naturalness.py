@@ -45,7 +45,7 @@ class Group:
     seconds: float
 
     def figures(self) -> Figures:
-        """Figures of the group."""
+        """Return the figures of the group."""
         apart = [one.nearest.mean_cm for one in self.found if one.nearest]
         percentiles = [one.percentile for one in self.found]
         yield from _of(self.name, apart, percentiles)

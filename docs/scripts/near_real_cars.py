@@ -45,11 +45,11 @@ class RealCars:
         return [MeshReference(folder, frame) for folder in self.folders]
 
     def identity(self) -> dict[str, Any]:
-        """Everything that determines the set."""
+        """Return everything that determines the set."""
         return {"kind": "folders", "parts": [part.identity() for part in self._parts()]}
 
     def members(self) -> Sequence[Build]:
-        """Functions that build the members, one each."""
+        """Return functions that build the members, one each."""
         return [build for part in self._parts() for build in part.members()]
 
 

@@ -15,7 +15,7 @@ from benchmarks.world import World
 
 @pytest.fixture(scope="module")
 def published(world: World, loops: AttackLoops) -> dict[str, Timing]:
-    """Time the stages of the published step. Attacks run before and after it: both include the machine's drift."""
+    """Times of the published step's stages. Attacks run before and after it: both include the machine's drift."""
     stages = published_step(world.problem(world.counterpart_scene, accuracy="paper"))
     loops.run()
     return {stage: Timing.of([value]) for stage, value in stages.items()}
@@ -72,7 +72,7 @@ class Work:
 
 @pytest.fixture(scope="module")
 def work(loops: AttackLoops, peak_gflops: dict[torch.dtype, float]) -> Work:
-    """Count and measure the work on the problem of the attacks."""
+    """Work of a step, counted and measured on the problem of the attacks."""
     problem = loops.problem
     rendering = cold_rendering(problem)
     peak = peak_gflops[torch.float32]

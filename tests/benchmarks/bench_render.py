@@ -36,7 +36,7 @@ def bench_render_cold(bench: Results, world: World, quick: bool) -> None:
 
 @pytest.fixture(scope="module")
 def cold_by_range(bench: Results, world: World, quick: bool) -> list[tuple[int, float]]:
-    """Return (hits, milliseconds) at every range that has a place for the vehicle, and add their records."""
+    """(hits, milliseconds) at every range that has a place for the vehicle; also adds their records."""
     found, grid = [], world.sdf_grid(world.problem())
     for range_m in RANGES_M[::4] if quick else RANGES_M:
         if (place := world.place_at(range_m)) is None:

@@ -37,7 +37,7 @@ class Sized:
 
 @pytest.fixture(scope="module")
 def by_size(world: World, quick: bool) -> dict[int, Sized]:
-    """Measure every scene size in turns."""
+    """Times of every scene size, measured in turns."""
     sized = {}
     scene = world.scenes.load(world.scene)
     for factor in (1, 8) if quick else (1, 2, 4, 8):

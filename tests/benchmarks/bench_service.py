@@ -35,7 +35,7 @@ def other(name: str, jobs: int, folder: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def overhead_us(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory) -> float:
-    """Measure once the service's time per no-op task, for all benchmarks that refer to it."""
+    """The service's time per no-op task, measured once for all benchmarks that refer to it."""
     count = 2_000 if quick else 100_000
     found = sweep("NOOP", "default", 2, *GRID, f"scenes.count={count}", folder=tmp_path_factory.mktemp("noop"))
     value = 1e6 * found["seconds"] / found["tasks"]
@@ -71,7 +71,7 @@ def bench_overhead_beside_ray_tune(bench: Results, overhead_us: float, quick: bo
 
 @pytest.fixture(scope="module")
 def task_s(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory) -> float:
-    """Measure seconds per real task on one worker, and two workers beside one."""
+    """Seconds per real task on one worker; also measures two workers beside one."""
     # The default sweep's tasks have 40 steps. The smoke sweep's have a few, so that a worker's first task, which loads
     # libraries and generates code, would weigh more than in any real sweep.
     name, turns, scenes = ("smoke", 1, 2) if quick else ("default", 3, 6)

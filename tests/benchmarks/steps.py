@@ -37,22 +37,22 @@ class Loop:
 
     @property
     def step(self) -> Timing:
-        """Return the time of a whole step."""
+        """Time of a whole step."""
         return Timing.of(self.wall_ms)
 
     @property
     def render(self) -> Timing:
-        """Return the time of the rendering in a step."""
+        """Time of the rendering in a step."""
         return Timing.of([record.milliseconds["render"] for record in self.records])
 
     @property
     def evaluations(self) -> float:
-        """Return the median number of the decoder's evaluations in one rendering."""
+        """Median number of the decoder's evaluations in one rendering."""
         return statistics.median(record.evaluations for record in self.records)
 
     @property
     def hits(self) -> float:
-        """Return the median number of returns on the object."""
+        """Median number of returns on the object."""
         return statistics.median(record.check.object_points for record in self.records)
 
     def stages(self) -> str:
@@ -78,7 +78,7 @@ class AttackLoops:
     _runs: int = 0
 
     def run(self) -> None:
-        """One attack in every mode."""
+        """Run one attack in every mode."""
         for mode in self.modes if self._runs % 2 == 0 else self.modes[::-1]:
             records: list[StepRecord] = []
             ends: list[float] = []

@@ -68,7 +68,7 @@ class Report:
     seconds: float = 0.0
 
     def counts(self) -> Counter[str]:
-        """Number of each outcome: "error", "valid", "failed"."""
+        """Count each outcome: "error", "valid", "failed"."""
         return Counter(o if o in ("error", "valid") else "failed" for o in self.outcomes.values())
 
     def failures(self) -> list[str]:

@@ -18,7 +18,7 @@ AREA = "evaluation"
 
 
 def cars(*x_m: float, heading: float = 0.0) -> np.ndarray:
-    """(N, 7) cars in a row along x."""
+    """Return (N, 7) cars in a row along x."""
     return np.array([[x, 0.0, 0.8, 4.0, 2.0, 1.6, heading] for x in x_m]).reshape(-1, 7)
 
 

@@ -23,7 +23,7 @@ FOLDERS = ("shift3d", "conf", "sweeps", "jobs")
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the wheel from a copy, because setuptools leaves files beside its build. Nothing is downloaded."""
+    """The wheel, built from a copy because setuptools leaves files beside its build. Nothing is downloaded."""
     folder = tmp_path_factory.mktemp("build")
     for name in FOLDERS:
         shutil.copytree(REPOSITORY / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))

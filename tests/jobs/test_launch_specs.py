@@ -192,7 +192,7 @@ def test_slurms_python_is_that_of_the_folder_or_the_one_given(tmp_path: Path) ->
 def test_a_slurm_job_ends_with_the_code_of_its_sweep_or_has_failed(
     sweeps_code: int | None, code: int, tmp_path: Path
 ) -> None:
-    """None: Ray does not start, for which `ray symmetric-run` ends with 0."""
+    """The case None: Ray does not start, and `ray symmetric-run` ends with 0 nevertheless."""
     runs = 'while [ "$1" != -- ]; do shift; done; shift; "$@"'
     sweep = f'echo "$@" > {tmp_path / "words"}; exit {sweeps_code}'
     tools = {"slurm/srun": "true" if sweeps_code is None else runs, "bin/shift3d": sweep, "bin/ray": "true"}

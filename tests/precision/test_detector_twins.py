@@ -70,7 +70,7 @@ def test_logits(name: str, points: Tensor) -> None:
 
 
 def test_the_voxel_encoder(points: Tensor) -> None:
-    """The encoder alone, with norms that are not folded: a norm adds a product and a sum, with weights of its own."""
+    """The encoder runs alone, with norms that are not folded: a norm adds a product and a sum, with its own weights."""
     torch.manual_seed(0)
     double = VoxelEncoder(16, 24).double().eval()
     for norm in (double.first_norm, double.second_norm):

@@ -68,7 +68,7 @@ def test_linear_regions(near_surface: Tensor) -> None:
 
 
 def test_what_float32_reaches_is_what_the_api_says(near_surface: Tensor) -> None:
-    """Roots at float32's limit, on beams to the surface: brackets are shrunk until nothing is left between their ends.
+    """Brackets are shrunk until nothing is left between their ends, which gives roots at float32's limit.
 
     No root is guaranteed to be better than the API's statement, and none is worse. The statement is not loose: the
     worst root reaches a tenth of it.
@@ -117,7 +117,7 @@ def test_the_decoders_own_sums_add_no_more_than_the_statement_gives_them(near_su
 
 @pytest.mark.parametrize("name", list(PRESETS))
 def test_every_preset_asks_for_what_it_can_reach(name: str) -> None:
-    """For any vehicle up to 20 m long. Float32 reaches the paper's 1e-6, because places are relative to the object."""
+    """Vehicles may be up to 20 m long. Float32 reaches the paper's 1e-6, because places are relative to the object."""
     settings = preset(name)
     assert settings.tolerance_m >= settings.reachable_residual_m(scale_m=5.0 if name == "paper" else 10.0)
 

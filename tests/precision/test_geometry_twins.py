@@ -31,13 +31,13 @@ def random_boxes(count: int, seed: int) -> np.ndarray:
 
 
 def test_rotations(poses: torch.Tensor) -> None:
-    """At most two products of three sines: each accurate to 2 u (libm), two products, a sum: 2 (6 + 3) u."""
+    """An entry has at most two products of three sines, accurate to 2 u (libm), two products, a sum: 2 (6 + 3) u."""
     worst = max(float((scene_R_object(p).double() - scene_R_object(p.double())).abs().max()) for p in poses)
     assert EMPTY * gamma(18) < worst < gamma(18)
 
 
 def test_frames(poses: torch.Tensor) -> None:
-    """An error of 24 u of the addends' sizes: three products with entries off by 18 u, a difference or a sum."""
+    """Three products have entries off by 18 u, and a difference or a sum is added: 24 u of the addends' sizes."""
     generator = torch.Generator().manual_seed(0)
     points = 60 * torch.randn(200, 3, generator=generator)
     worst = 0.0
@@ -93,8 +93,8 @@ def test_what_rounding_a_box_does_to_its_overlap() -> None:
 def test_box_codes() -> None:
     """Centres: a product and a sum (or a difference and a quotient), the diagonal accurate to 2 u: 5 u of the sizes.
 
-    Sizes: exp and log are accurate to 2 u, log of a quotient that is off by u to u more. Heading: three sums of at most
-    3 pi, and the remainder's own pi, which float32 holds to u pi: 8 u of 4 pi.
+    Sizes: exp and log are accurate to 2 u, log of a quotient that is off by u to u more, absolutely. Heading: three
+    sums of at most 3 pi, and the remainder's own pi, which float32 holds to u pi: 8 u of 4 pi.
     """
     anchors = torch.from_numpy(random_boxes(300, 4))
     boxes = torch.from_numpy(random_boxes(300, 5))

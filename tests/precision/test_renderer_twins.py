@@ -32,7 +32,7 @@ THETA = torch.tensor([14.0, 1.0, 0.0, 0.6, 0.02, -0.03], dtype=torch.float64)
 
 
 def test_roots() -> None:
-    """Roots of cubics whose three products and three sums float32 rounds: E = gamma(7) sum |c_i| |k|^i."""
+    """Float32 rounds three products and three sums of the cubic: E = gamma(7) sum |c_i| |k|^i."""
     generator = torch.Generator().manual_seed(0)
     root = 0.2 * torch.rand(500, generator=generator) - 0.1
     rise = 0.2 + torch.rand(500, generator=generator)

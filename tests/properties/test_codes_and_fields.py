@@ -96,7 +96,7 @@ def test_a_field_that_is_not_finite_somewhere_loses_beams_and_says_how_many(
 @few(25)
 @given(number=st.integers(0, 10_000), theta=poses())
 def test_random_networks_have_no_hit_before_the_first_root(number: int, theta: Tensor) -> None:
-    """Compared with every linear piece of the network, walked from the box on without any bound on the slope."""
+    """Hits are compared with every linear piece of the network, walked from the box on without a slope bound."""
     code = torch.ones(4, dtype=torch.float64)
     field = random_decoder(number).field(code)
     # A network that is negative at the sensor has the sensor inside: such beams are rightly unresolved.

@@ -26,7 +26,7 @@ def detector(request: pytest.FixtureRequest) -> TrainedDetector:
 
 @pytest.fixture(scope="module")
 def scene() -> Tensor:
-    """Return points all about the grid, dense about CENTRE, with some rows twice and some that are not finite."""
+    """Points all about the grid, dense about CENTRE, with some rows twice and some that are not finite."""
     generator = torch.Generator().manual_seed(1)
     dense = torch.randn(1500, 3, generator=generator) * torch.tensor([6.0, 6.0, 0.5]) + torch.tensor([*CENTRE, 1.0])
     points = torch.cat((random_scene(1500), dense, dense[:200]))

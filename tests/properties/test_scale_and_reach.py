@@ -75,7 +75,7 @@ def test_a_world_twice_the_size_is_seen_from_twice_as_far(factor: float, theta: 
 def test_an_object_beyond_every_beam_changes_nothing_bit_for_bit(
     name: str, direction: tuple[float, float], beyond_m: float, attitude: tuple[float, ...]
 ) -> None:
-    """Farther than every return by more than the sphere about the object, 7 m."""
+    """The object is farther than every return by more than the radius of the sphere about it, 7 m."""
     azimuth, elevation = direction
     way = [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
     points = np.concatenate((POINTS.astype(np.float32), np.float32([[0, 0, 0], [np.nan, 1, 1], [-np.inf, 0, 0]])))

@@ -3,7 +3,7 @@
 Each was made by the last program of its version, at the commit in COMMITS. To make a folder again, or that of a version
 that has just become an older one:
 
-git worktree add /tmp/older COMMIT
+    git worktree add /tmp/older COMMIT
     cp tests/reference/make_schema_folder.py /tmp/older/tests/reference/
     cd /tmp/older && PYTHONPATH=. python tests/reference/make_schema_folder.py
 

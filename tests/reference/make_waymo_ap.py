@@ -3,7 +3,7 @@
 Run in an environment of its own, with Python 3.11: ``pip install tensorflow-cpu==2.13.0``, then the wheel of
 waymo-open-dataset-tf-2-12-0 1.6.7, unpacked (only its compiled metrics are used), whose folder is the argument:
 
-python make_waymo_ap.py FOLDER > waymo_ap.json
+    python make_waymo_ap.py FOLDER > waymo_ap.json
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def _misbehave(spec: TaskSpec) -> None:
 
 
 def _not_yet(variable: str) -> bool:
-    """True the first time only, if a variable names a file to remember it by; always, if the variable is not set."""
+    """True the first time only, if a variable names a file as memory; True always, if the variable is not set."""
     mark = os.environ.get(variable)
     if mark is None:
         return True

@@ -1,6 +1,6 @@
 """Random extreme poses and codes through the real decoder: NaN, hangs, and unresolved beams with their reason.
 
-python tests/stress/extreme_poses.py --count 10000 --workers 2 --out extreme_poses.json
+    python tests/stress/extreme_poses.py --count 10000 --workers 2 --out extreme_poses.json
 
 A case follows from its number alone (`extreme_cases`). Each renders some 160 beams with the gradient of pose and code,
 every third case once more from the result (warm). The rendering is then checked against independent evaluations: the

@@ -35,7 +35,7 @@ def test_a_sentence_has_one_end() -> None:
 
 
 def test_a_remedy_says_what_to_do() -> None:
-    """It is a sentence of its own, beginning with a verb, after the full stop of the error."""
+    """A remedy is a sentence of its own, beginning with a verb, after the full stop of the error."""
     no_verb = r"[^A-Z]|(Known|Every|Its?|Only|The|There|This|Workers)\b"
     wrong = [f"{file}: {text}" for file in PACKAGE.rglob("*.py") for text in remedies(file) if re.match(no_verb, text)]
     assert not wrong, wrong

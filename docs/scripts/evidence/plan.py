@@ -40,7 +40,7 @@ class Entry:
         return " ".join([*(f"{key}={value}" for key, value in self.env.items()), "; ".join(lines)])
 
     def state(self) -> str:
-        """State of the figures: missing, current, or the reason why they are stale."""
+        """Return the state of the figures: missing, current, or the reason why they are stale."""
         if not (record.MEASURED / f"{self.name}.json").exists():
             return "missing"
         measured = record.read(self.name)["measured"]

@@ -87,7 +87,7 @@ def suite(objects: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.1])
 def test_of_200_releases_a_loss_of_two_points_is_found_in_nine_of_ten(noise: float) -> None:
-    """A suite of 500 hard objects: found in at least 90 % with the loss, stopped in at most 5 % without one."""
+    """The gate finds the loss of 500 hard objects in at least 90 %, and stops at most 5 % without a loss."""
     rates = stopped_releases(*suite(500), noise, 0.02, ReleaseRule(), releases=200)
     assert rates.found is not None and rates.found >= 0.90
     assert rates.false_alarms <= 0.05

@@ -178,7 +178,7 @@ def test_shapes_in_other_scenes_by_their_vehicles_means() -> None:
 
 
 def test_what_shapes_do_elsewhere_is_as_uncertain_as_so_many_shapes_leave_it() -> None:
-    """Nine shapes, some of which are missed everywhere, in twelve other scenes each."""
+    """Nine shapes, some of which are missed everywhere, are put into twelve other scenes each."""
     known = transfers(1).iloc[0].to_dict()
     ends = [0.1, 0.7] * 4 + [0.1]
     rows = pd.DataFrame(

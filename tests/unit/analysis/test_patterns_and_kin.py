@@ -165,7 +165,7 @@ def test_the_curve_of_controls_is_of_single_vehicles() -> None:
 
 
 def test_kin_are_so_many_vehicles_however_many_shapes_they_are_the_nearest_to() -> None:
-    """Twenty shapes in as many scenes have four vehicles as kin: their lower scores are known from four."""
+    """Twenty shapes in as many scenes have four vehicles as kin: certainty is that of four vehicles, not of twenty."""
     less = np.array([0.0, 0.1, 0.2, 0.3])
     rows = [
         retrieved(f"s{number}", "retrieved", 0.8 - less[number % 4]) | {"pool_scene": f"pool-{number % 4}"}

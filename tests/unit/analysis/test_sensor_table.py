@@ -103,7 +103,7 @@ def test_effects_have_lines_of_their_own() -> None:
 
 
 def test_a_street_in_rain_and_in_fog_is_one_draw() -> None:
-    """Two results of one street count as one result."""
+    """One street gives two results, which count as one."""
     dry = scores(streets=12)
     odd = dry["scene"].str.extract(r"-(\d{6})-", expand=False).astype(int) % 2
     dry = dry.assign(score=dry["score"] - 0.1 * odd * dry["scene"].str.endswith("hdl32"))

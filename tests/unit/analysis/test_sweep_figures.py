@@ -47,7 +47,7 @@ def test_an_auc_is_the_mean_score_and_a_ratio_that_of_two(sweep: Sweep) -> None:
 
 
 def test_a_ratio_is_that_of_the_tasks_that_have_both(sweep: Sweep) -> None:
-    """For example random poses, which hard places may lack."""
+    """Random poses, for example, are missing at hard places."""
     rows = sweep.scores[sweep.scores["score"].notna()]
     lost, kept = rows["task_id"].unique()
     scores = rows.assign(score=rows["score"].where(rows["task_id"] != lost, 0.125))

@@ -15,7 +15,7 @@ SPREAD = np.array([3.0, 1.0, 0.5])
 
 @pytest.fixture(scope="module")
 def codes() -> np.ndarray:
-    """Return 4,000 codes in a 3D plane through (1, ..., 1), with known standard deviations."""
+    """4,000 codes in a 3D plane through (1, ..., 1), with known standard deviations."""
     rng = np.random.default_rng(1)
     return (1.0 + (rng.standard_normal((4000, 3)) * SPREAD) @ AXES).astype(np.float32)
 

@@ -54,7 +54,7 @@ def test_what_cannot_be_used_is_one_line(
 def test_ones_own_detector_and_its_onnx_file_are_evaluated_alike(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One function as a Python file and as a graph: the same detections, boxes on the ground of the scene."""
+    """One function as a Python file and as a graph gives the same detections, with boxes on the scene's ground."""
     (tmp_path / "mine.py").write_text(OWN_SOURCE)
     (tmp_path / "mine.json").write_text("[]")  # a user's file, not the project's provenance
     files = {"own": f"module={tmp_path / 'mine.py'}", "onnx": f"file={write_model(tmp_path / 'mine.onnx')}"}

@@ -115,7 +115,7 @@ def test_what_trainers_put_beside_the_tensors_is_left_alone(tmp_path: Path) -> N
 
 
 class Trap:
-    """An object that is no data."""
+    """An object that is not data."""
 
     def __reduce__(self) -> Any:
         return print, ("run",)

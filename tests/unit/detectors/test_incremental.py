@@ -211,7 +211,7 @@ def test_points_that_require_it_get_their_gradient_whether_they_moved_or_not(exa
 
 
 def test_forks_answer_as_if_they_were_alone(single: TrainedDetector) -> None:
-    """Bit for bit, whatever other forks of the same frame were evaluated."""
+    """Answers are equal bit for bit, whatever other forks of the same frame were evaluated."""
     points, window = _scene(), single.window_for(CENTRE, 5.0)
     moved, gone = EDITS["the car"](points), EDITS["removed far away"](points)
     incremental = single.incremental(window)
@@ -278,7 +278,7 @@ def _operations(call: Callable[[], object]) -> int:
 
 @pytest.mark.parametrize("name", ["pointpillars", "centerpoint", "sst"])
 def test_nothing_is_computed_for_what_did_not_change_or_is_not_needed(name: str) -> None:
-    """Except for the few convolutions behind SST's transformer, which see the core and a little more."""
+    """The exceptions are the few convolutions behind SST's transformer, which see the core and a little more."""
     single = TrainedDetector(random_net(name))
     points, window = _scene(), single.window_for(CENTRE, 5.0)
     incremental = single.incremental(single.window_for(CENTRE, 9.0))
@@ -304,7 +304,7 @@ def _behind_the_transformer(net: SstNet, window: BevWindow) -> None:
 
 @pytest.mark.parametrize("name, share", [("pointpillars", 0.25), ("sst", 0.6)])
 def test_the_shipped_network_sees_a_car_move_across_a_street(name: str, share: float) -> None:
-    """A step of an attack: the car's points move, the loss is of the logits around it, the gradient of its points.
+    """A step of an attack moves the car's points; the loss is of the logits around it, the gradient of its points.
 
     share: of the operations of the plain window. SST's layers spread a change farther than PointPillars' first block.
     """

@@ -29,7 +29,7 @@ def full_scene(slim: TrainedDetector) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def test_margin_is_the_receptive_field() -> None:
-    """Measures how far the gradient of an output cell reaches in the input, through the real layers."""
+    """The test measures how far the gradient of an output cell reaches in the input, through the real layers."""
     torch.manual_seed(0)
     backbone = Backbone(dataclasses.replace(WAYMO_BACKBONE, in_channels=2, channels=(2, 2, 2), up_channels=2)).eval()
     for module in backbone.modules():

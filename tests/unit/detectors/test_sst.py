@@ -106,7 +106,7 @@ def test_aligned_span_is_the_smallest_of_whole_windows(low: int, high: int, shif
 
 
 def test_the_reach_of_the_layers_is_that_of_their_windows() -> None:
-    """Collects the tokens that an output's gradient touches, on a map where every cell is a token."""
+    """The test collects the tokens that an output's gradient touches, on a map where every cell is a token."""
     torch.manual_seed(0)
     transformer = WindowTransformer(TransformerSpec(width=8, heads=2, feed_forward=8, blocks=2, window=4)).double()
     cells = 40

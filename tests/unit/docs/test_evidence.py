@@ -87,14 +87,14 @@ def test_a_processor_without_bfloat16_leaves_its_row_out(monkeypatch: pytest.Mon
 
 
 def test_a_frontier_depends_on_what_its_own_journal_depends_on() -> None:
-    """The folders whose change makes `make frontier` measure again."""
+    """A change in these folders makes `make frontier` measure again."""
     for name in ("frontier", "final_newton"):
         parts = [f"shift3d/{part}" if part.endswith(".py") else f"shift3d/{part}/*" for part in drive._CODE]
         assert set(parts) <= set(ENTRIES[name].depends)
 
 
 def test_the_presets_that_ship_are_those_of_the_page() -> None:
-    """A report's table of presets and docs/why/accuracy.md: `docs/scripts/shipped.py presets` after a new frontier."""
+    """A report's table of presets and docs/why/accuracy.md agree; after a new frontier: `shipped.py presets`."""
     measured = record.read("frontier")["figures"]
     for preset in json.loads(MEASURED.read_text(encoding="utf-8")):
         values = {"ms": preset["ms_median"], "times paper": preset["ratio_to_paper"]}

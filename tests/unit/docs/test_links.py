@@ -53,7 +53,7 @@ def test_files_that_the_architecture_names_are_there() -> None:
 
 
 def test_files_that_code_and_settings_name_are_there() -> None:
-    """Help, messages, comments: pages and settings files to which a text refers."""
+    """Help, messages and comments refer to pages and settings files, which must exist."""
     texts = [path for room in ("shift3d", "conf", "sweeps", "jobs") for path in (ROOT / room).rglob("*.[py]*")]
     named = {
         (name, str(path.relative_to(ROOT)))

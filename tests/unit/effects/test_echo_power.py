@@ -90,7 +90,7 @@ def test_gradients_of_power_and_survival():
 
 @pytest.mark.parametrize("spread", [0.3, 1.0])
 def test_losses_on_the_object_and_on_the_scene(spread):
-    """On the object a share S(P T) survives; of the returns known to exist, S(P T) / S(P)."""
+    """The share S(P T) of echoes on the object survives; of the returns known to exist, S(P T) / S(P)."""
     sensor = SensorModel(limit_range_m=100.0, power_spread=spread)
     context = context_of(sensor)
     power, transmission = torch.full((COUNT,), 1.5e-4, dtype=torch.float64), torch.full((COUNT,), 0.5).double()

@@ -52,7 +52,7 @@ def returned_share(context: EffectContext, before: Returns) -> float:
 @pytest.mark.parametrize("spread", [0.2, 0.45, 1.0])
 @pytest.mark.parametrize("ratio", [0.4, 1.0, 2.5])
 def test_survival_at_one_power(spread, ratio):
-    """At ratio times the least power, ratio^(1/s) / (1 + ratio^(1/s)) of the echoes are detected."""
+    """The share ratio^(1/s) / (1 + ratio^(1/s)) of echoes at ratio times the least power is detected."""
     context = context_of(LIMIT_M, spread)
     albedo = ratio * 0.9 / LIMIT_M**2 * 20.0**2 / 0.5
     expected = 1.0 / (1.0 + ratio ** (-1.0 / spread))
@@ -61,7 +61,7 @@ def test_survival_at_one_power(spread, ratio):
 
 
 def test_survival_over_albedos():
-    """Uniform albedos, spread 1: the mean over rho of rho / (rho + rho0) is 1 - rho0 ln(1 + 1 / rho0)."""
+    """The mean over uniform albedos of rho / (rho + rho0), for spread 1, is 1 - rho0 ln(1 + 1 / rho0)."""
     context = context_of(LIMIT_M, 1.0)
     least = 0.9 / LIMIT_M**2 * 40.0**2
     expected = 1.0 - least * math.log(1.0 + 1.0 / least)
@@ -154,7 +154,7 @@ def test_what_stays_keeps_its_gradient():
 
 
 def test_applies_where_the_weakest_echo_comes_near_the_limit():
-    """Sharp: the darkest echo, albedo cos(80 deg) / 50^2, equals 0.9 / limit^2 for a limit of 569 m."""
+    """The darkest echo, albedo cos(80 deg) / 50^2, equals 0.9 / limit^2 for a sharp limit of 569 m."""
     limit_m = OBJECT_FAR_M * math.sqrt(0.9 / (DARKEST_ALBEDO * math.cos(STEEP_RAD)))
     assert round(limit_m) == 569
     scene = context_of(None, count=50).scene

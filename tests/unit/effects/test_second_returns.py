@@ -147,7 +147,7 @@ def test_what_is_gone_already_stays_gone_and_still_stops_the_beam():
 
 
 def test_one_return_a_beam_from_an_inserted_box():
-    """A box 4 m thick around x = 20 m. First returns at 16 or 40 m, second ones at 45 m, along the x axis and beside.
+    """A box 4 m thick is around x = 20 m. First returns are at 16 or 40 m, second ones at 45 m, near the x axis.
 
     Points that stay on the box follow its pose: dx / dx_object = 1, straight ahead.
     """

@@ -37,7 +37,7 @@ def _random_frames(count: int = 12) -> list[DetectedFrame]:
 
 
 def test_errors_are_measured_in_the_vehicle_s_own_axes() -> None:
-    """For a car that faces left, a box 0.3 m to the left is ahead, and a box 0.1 m behind in x is to its left."""
+    """A car faces left: a box 0.3 m to the left is ahead of it, and a box 0.1 m behind in x is to its left."""
     truth = cars(20.0, heading=pi / 2)
     found = truth + np.array([[-0.1, 0.3, 0.05, 0.2, -0.1, 0.15, 0.02]])
     rows = vehicle_rows([frame(truth, found, [0.9])])

@@ -53,7 +53,7 @@ def test_a_range_between_two_bounds_is_one_condition() -> None:
 
 
 def test_a_large_effect_does_not_hide_a_smaller_one() -> None:
-    """Compared with all others, half of which score 0.1, far objects would score higher than the others."""
+    """Far objects would score higher than all others, half of which score 0.1."""
     quantities = drawn()
     low, far = quantities["height_m"] <= 1.6, quantities["range_m"] > 40
     first, second = find_rules(quantities, np.where(low, 0.1, np.where(far, 0.6, 0.8)))
@@ -132,7 +132,7 @@ def test_a_rule_of_some_vehicles_alone_does_not_hold() -> None:
 
 
 def test_another_detector_is_asked_about_objects_that_the_rule_was_not_found_on() -> None:
-    """Its scores of the objects on which the rule was found do not count."""
+    """The other detector's scores of the objects on which the rule was found do not count."""
     rows = objects()
     found_on = rows["place"].isin(sorted(rows["place"].unique())[::2]) & rows["vehicle"].isin(["v0", "v2"])
     (as_drawn,) = failure_rules(rows)
@@ -172,7 +172,7 @@ def by_chance(seed: int, scenes: int = 20, vehicles: int = 60) -> pd.DataFrame:
 
 
 def test_what_vehicles_owe_to_chance_confirms_no_rule_about_other_vehicles() -> None:
-    """The other vehicles stay the same number in any number of scenes. By scenes alone a third of the rules held."""
+    """More scenes add no vehicles. Resampling of scenes alone would confirm a third of the rules."""
     found = [rule for seed in range(12) for rule in failure_rules(by_chance(seed))]
     assert len(found) >= 30
     of_same = [rule.tried["other scenes"].high < 0 for rule in found]
@@ -240,7 +240,7 @@ def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_veh
 
 
 def test_an_object_that_is_missed_under_two_effects_is_two(sweep: Sweep) -> None:
-    """Like an object with other scores under each effect: otherwise misses would count for less than detections."""
+    """An object may have another score under each effect: otherwise misses would count for less than detections."""
     again = sweep.scores.assign(task_id="again-" + sweep.scores["task_id"])
     scores = pd.concat([sweep.scores, again], ignore_index=True)
     tasks = SimpleNamespace(effects_requested_of=lambda ids: [["fog" if "again" in task else "none"] for task in ids])

@@ -75,7 +75,7 @@ def test_a_mean_over_seeds_holds_objects_that_every_seed_has() -> None:
 
 
 def test_objects_that_no_column_tells_apart_keep_their_mean_over_seeds() -> None:
-    """For example under attack.starts=1,8: two objects of one vehicle, scene and settings."""
+    """Two objects have one vehicle, scene and settings, for example under attack.starts=1,8."""
     given = by_hand().query("objects != @ADAPTIVE")
     twice = pd.concat([given, given.assign(score=given["score"] - 0.1)], ignore_index=True)
     one, two = (finetune_table(rows, []).to_pandas() for rows in (given, twice))
@@ -130,10 +130,10 @@ def test_the_page_shows_both_models_beside_the_papers_figures() -> None:
 
 
 def test_models_are_compared_over_the_scenes_that_they_were_last_evaluated_on(tmp_path: Path) -> None:
-    """Both folders hold answers for all six scenes; each model's last evaluation defines its scenes.
+    """Both folders hold answers for all six scenes, of which the last three are misses.
 
-    For the detector before, which misses the vehicles of the last three scenes, another command with more streets ran
-    last; for the one after, the same command ran with more streets first.
+    Another command with more streets evaluated the detector before on all six; the last run evaluated the one after on
+    three, and an earlier run of it on more.
     """
     box = np.array([[10.0, 0.0, 0.8, 4.0, 1.8, 1.6, 0.0]])
     for model, evaluated in (("before", 6), ("after", 3)):

@@ -74,7 +74,7 @@ def test_provenance_names_the_sweep_its_rows_and_what_was_left_out(_attacked: Pa
 
 
 def test_at_next_to_no_rate_the_detector_stays_the_one_it_was(attacked: Path, tmp_path: Path) -> None:
-    """Batch statistics included: a measured difference is an effect of the objects alone."""
+    """Batch statistics do not change either: a measured difference is an effect of the objects alone."""
     found = load_file(tuned(attacked, tmp_path / "out", "steps=1", "recipe.peak_rate=1e-30"))
     before = load_network(SHIPPED, "pointpillars").state_dict()
     assert found.keys() == before.keys()

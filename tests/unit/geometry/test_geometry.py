@@ -79,7 +79,7 @@ def test_iou_by_hand() -> None:
 
 
 def test_iou_3d_of_boxes_above_each_other() -> None:
-    """Same footprint, heights 2: sharing half gives 1 / 3, a quarter 0.5 / 3.5; nested boxes give their ratio."""
+    """Boxes of height 2 on one footprint: sharing half gives 1 / 3, a quarter 0.5 / 3.5; nested boxes their ratio."""
     base = np.array([[1.0, 2.0, 0.0, 4.0, 2.0, 2.0, 0.7]])
     others = np.repeat(base, 5, axis=0)
     others[:, 2] = [0.0, 1.0, -1.5, 2.0, 3.0]

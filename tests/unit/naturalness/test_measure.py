@@ -60,7 +60,7 @@ def test_a_member_is_its_own_nearest_at_distance_zero(set_of_20: NaturalnessMete
 
 
 def test_a_shape_between_two_members_is_as_far_as_its_ends_are(set_of_20: NaturalnessMeter) -> None:
-    """3 cm longer than a member: 1.5 cm at both ends, which are 2 x 1.8 x 1.1 m of the area."""
+    """A shape 3 cm longer than a member is off by 1.5 cm at both ends, which are 2 x 1.8 x 1.1 m of the area."""
     found = set_of_20.of(on_legs(length_m=4.63))
     assert found.nearest is not None and found.nearest.name == "member-10"
     ends = 2 * 1.8 * 1.1 / on_legs().area

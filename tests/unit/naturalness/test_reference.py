@@ -139,7 +139,7 @@ def test_another_unit_is_refused_with_the_one_that_fits(tmp_path: Path) -> None:
 
 
 def test_sizes_that_no_vehicle_has_are_refused_whatever_the_unit(tmp_path: Path) -> None:
-    """Limousines with the length of a car, and cars of 2.2 m: within a reader's limits, but no vehicles."""
+    """Limousines with the length of a car, and cars of 2.2 m, are within a reader's limits, but are no vehicles."""
     for scale in ((1.0, 0.5, 1.0), (0.55, 0.55, 0.55)):
         meshes = []
         for mesh in legged(np.linspace(3.6, 5.5, 21)).meshes:

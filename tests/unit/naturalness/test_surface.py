@@ -39,7 +39,7 @@ def test_the_same_surface_is_at_distance_zero_and_another_triangulation_nearly()
 
 
 def test_distances_are_those_to_triangles_to_two_millimetres_or_three_percent() -> None:
-    """The plain reference: exact distances to the triangles of vehicles of the family."""
+    """The plain reference computes exact distances to the triangles of vehicles of the family."""
     meshes = [build_wide_mesh(wide_vehicle(index, 3), 0.08) for index in (0, 5, 8, 12)]
     for first, second in zip(meshes, meshes[1:] + meshes[:1]):
         a, b = surface_of_mesh(first), surface_of_mesh(second)

@@ -79,7 +79,7 @@ def test_ground_that_the_nominal_height_misses_serves_where_nothing_else_does() 
 
 
 def test_ground_that_climbs_away_from_its_nominal_height_is_found() -> None:
-    """Forty metres up a hill of nine in a hundred the ground is 3.6 m above that under the sensor."""
+    """The ground forty metres up a hill of nine in a hundred is 3.6 m above that under the sensor."""
     slopes, at = (0.09, 0.0), (40.0, 0.0)
     hill = raised(patch(at, slopes, 300), 3.6)
     plane = found(hill, at)
@@ -99,7 +99,7 @@ def test_what_stands_on_the_ground_does_not_tilt_it(slopes: tuple[float, float])
 
 @pytest.mark.parametrize("ground", [30, 60, 200])
 def test_the_roof_of_a_car_is_no_ground(ground: int) -> None:
-    """The roof is no ground, if the road around it has more returns or fewer."""
+    """The roof is no ground, whether the road around it has more returns or fewer."""
     roof = raised(patch(AT, (0.0, 0.0), 400, noise_m=0.01), 1.4)
     roof = roof[(np.abs(roof[:, 0] - AT[0]) < 1.8) & (np.abs(roof[:, 1] - AT[1]) < 0.8)]
     road = patch(AT, (0.02, 0.0), 4 * ground, noise_m=0.01, seed=3)
@@ -109,7 +109,7 @@ def test_the_roof_of_a_car_is_no_ground(ground: int) -> None:
 
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.03, -0.02)])
 def test_sparse_rings_bear_a_plane_together(slopes: tuple[float, float]) -> None:
-    """Fifty metres out the next scan line is 5 m away: one line alone leaves the slope across it open."""
+    """The next scan line at fifty metres is 5 m away: one line alone leaves the slope across it open."""
     at = (50.0, 0.0)
     azimuth = np.linspace(-0.15, 0.15, 120)
     rings = [np.column_stack((r * np.cos(azimuth), r * np.sin(azimuth))) for r in (45.0, 50.0, 55.0)]

@@ -44,7 +44,7 @@ def toward(rendering: Rendering, *inputs: Tensor) -> list[Tensor]:
 
 
 def test_gradients_are_the_plain_ones() -> None:
-    """A decoder's closed form against autograd through the whole decoder, which any other field uses."""
+    """A decoder's closed form is compared with autograd through the whole decoder, which any other field uses."""
     found = []
     for through in (lambda field: field, lambda field: lambda x: field(x)):
         code, theta = CODE.clone().requires_grad_(), THETA.clone().requires_grad_()
@@ -88,7 +88,7 @@ def test_small_steps_of_code_and_pose_are_predicted() -> None:
 
 
 def test_a_plate_is_predicted_exactly() -> None:
-    """The derivatives predict the face, because g is linear in place and bias except for the curvature of tanh."""
+    """The derivatives predict the face up to the curvature of tanh, because g is linear in place and bias."""
     weight = torch.tensor([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], dtype=torch.float64)
     out = torch.ones(1, 2, dtype=torch.float64)
 

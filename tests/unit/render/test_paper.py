@@ -43,7 +43,7 @@ def test_on_an_analytic_car() -> None:
 
 
 def test_a_beam_without_a_return_is_marched_no_farther_than_the_sphere() -> None:
-    """It has the same hit as a beam that ends just behind the object."""
+    """The beam has the same hit as a beam that ends just behind the object."""
     field, settings = in_frame(car(), SHAPENET_FRAME), preset("paper").with_(dtype=torch.float64)
     near, far = (
         render(Beams.from_arrays(*sector_scan(tuple(THETA[:3]), far_m=far_m)), field, THETA, SHAPENET_FRAME, settings)

@@ -124,7 +124,7 @@ def test_what_is_no_number_is_undecided_and_what_starts_inside_stays_open() -> N
 def test_two_balls_of_which_one_moves_are_found_but_where_a_ray_grazes_them(
     first: tuple[float, float, float], second: tuple[float, float, float], moved: tuple[float, float, float]
 ) -> None:
-    """Balls no smaller than the spacing of the grid; predicted samples leave at most 5 cm of depth open."""
+    """The balls are no smaller than the spacing of the grid; predicted samples leave at most 5 cm of depth open."""
 
     def balls(shift: tuple[float, float, float]) -> Field:
         x, y, r = (a + b for a, b in zip(first, shift))

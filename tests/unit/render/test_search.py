@@ -117,7 +117,7 @@ def test_a_part_that_comes_up_where_no_beam_came_nearest() -> None:
 
 
 def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_sees_them() -> None:
-    """The shipped decoder along a straight line through its codes, with gradients: 5 steps, 3 to 20 cm each."""
+    """The shipped decoder moves straight through its codes, with gradients: 5 steps, 3 to 20 cm each."""
     decoder, vehicles, scale = load_decoder(), baseline_vehicles(), 0.1
     start, end = (torch.from_numpy(vehicles[name].latent_code) for name in ("coupe", "suv"))
     vehicle, settings, beams = vehicles["coupe"], preset("standard"), scan()
@@ -144,7 +144,7 @@ def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_s
 def test_a_hidden_unit_that_is_on_at_some_hits_alone_is_kept(
     aside_m: float, rise: float, narrow: float, hits: tuple[int, int]
 ) -> None:
-    """A wall with a bump in the path of some beams, between the places that a search surveys beforehand."""
+    """A wall has a bump in the path of some beams, between the places that a search surveys beforehand."""
     centre, eye = torch.tensor([0.0, 0.035 + aside_m / 2.5, 0.03], dtype=torch.float64), torch.eye(3).double()
     first, first_bias = torch.cat((eye, -eye)), torch.cat((-centre, centre))
     hidden, out = torch.zeros(64, 6, dtype=torch.float64), torch.zeros(1, 64, dtype=torch.float64)

@@ -21,7 +21,7 @@ CAMERA = Calibration(PROJECTION, AXES)
 
 
 def test_camera_box_to_lidar_box_by_hand() -> None:
-    """A car 20 m ahead, 3 m to the right, standing 1.7 m below the camera, 1.5 m high, nose to the right."""
+    """The car is 20 m ahead, 3 m to the right, 1.7 m below the camera, 1.5 m high, nose to the right."""
     box = lidar_box([1.5, 1.6, 4.0], [3.0, 1.7, 20.0], 0.0, CAMERA)
     np.testing.assert_allclose(box, [20.0, -3.0, -1.7 + 0.75, 4.0, 1.6, 1.5, -np.pi / 2], atol=1e-12)
 

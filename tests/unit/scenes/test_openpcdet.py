@@ -63,7 +63,7 @@ def test_rows_of_zeros_are_beams_without_a_return(tmp_path: Path, sensor_m: tupl
 
 
 def test_a_sensor_away_from_the_origin_becomes_the_origin(tmp_path: Path) -> None:
-    """The same frame as seen from the ground below the vehicle's rear axle."""
+    """The frame is the same, as seen from the ground below the vehicle's rear axle."""
     sensor = (1.2, 0.1, 1.9)
     moved = frame()
     moved[:, :3] += sensor

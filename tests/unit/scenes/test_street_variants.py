@@ -169,7 +169,7 @@ def test_side_sensors_are_appended_and_look_from_their_corners() -> None:
 
 
 def test_points_of_a_moving_sensor_in_both_frames() -> None:
-    """The same returns: places at time 0 are v t farther ahead than in the sensor's frame at its firing."""
+    """The returns are the same: at time 0 they are v t farther ahead than in the sensor's frame at its firing."""
     speed = 20.0
     raw, whole = scene(ego_speed_m_s=speed), scene(ego_speed_m_s=speed, motion_compensated=True)
     assert raw.time_s is not None and whole.time_s is not None

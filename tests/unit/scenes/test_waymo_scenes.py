@@ -77,7 +77,7 @@ def test_range_images_come_back_from_points_and_origins(segment: tuple[Path, Seg
 
 
 def test_beams_fall_along_a_row_in_azimuth_and_down_a_column_in_inclination(segment: tuple[Path, Segment]) -> None:
-    """Checked on the TOP laser, which turns with the vehicle by 1.1 degrees a frame, less than a column."""
+    """The check uses the TOP laser, which turns with the vehicle by 1.1 degrees a frame, less than a column."""
     root, made = segment
     scene = WaymoScenes(root, lasers=["TOP"]).load(NAME)
     beams = Beams.from_scene(scene)

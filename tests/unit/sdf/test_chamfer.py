@@ -27,7 +27,7 @@ def test_parallel_sheets_are_their_gap_apart() -> None:
 
 
 def test_it_is_half_the_sum_of_both_directions() -> None:
-    """From the small sheet to the large one in its plane: 0; back: the mean distance to the square of half size.
+    """The small sheet has distance 0 from the large one in its plane; back it is the mean distance to the small square.
 
     For the square [-1, 1]^2 and the inner [-1/2, 1/2]^2 it is, by quadrant, with u, v = the excess over 1/2: (2 *
     integral of u over [0, 1/2] x [0, 1/2] + integral of hypot(u, v) over [0, 1/2]^2) / 1.

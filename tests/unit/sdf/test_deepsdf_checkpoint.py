@@ -236,7 +236,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 
 
 def test_real_decoder_is_zero_on_its_cars(real_data: Callable[[str], Path]) -> None:
-    """Every eighth car: its own code, 500 points of its surface, in units of 2.4 m; files deviate by 2 cm at 4.5 m."""
+    """Every eighth car has its own code; 500 surface points, in units of 2.4 m; files deviate by 2 cm at 4.5 m."""
     experiment = load_deepsdf_checkpoint(real_data("decoder"))
     assert len(experiment.instances) == len(experiment.codes) == 57
     for index in range(0, 57, 8):

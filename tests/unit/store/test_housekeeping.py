@@ -192,7 +192,7 @@ def test_a_process_that_ends_during_compact(tmp_path: Path, step: int) -> None:
 
 
 def test_a_reader_whose_entries_vanish_reads_again(sweep: Location, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A compaction takes place between its listing and its reading."""
+    """A compaction takes place between the reader's listing and its reading."""
     before, names, kind = what_counts(sweep), type(sweep).names, type(sweep)
     raced = []
 

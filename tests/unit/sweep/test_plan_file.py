@@ -89,7 +89,7 @@ def test_tasks_that_are_missing_are_noticed(plan: Plan, tmp_path: Path) -> None:
 
 
 def test_the_files_of_earlier_programs_are_read(plan: Plan) -> None:
-    """They hold every task's whole spec."""
+    """Files of earlier programs hold every task's whole spec."""
     columns = {
         "task_id": plan.tasks.ids,
         "spec": [task.spec.canonical_json() for task in plan.tasks],

@@ -27,7 +27,7 @@ def without_times(result: TaskResult) -> dict[str, list]:
 
 
 def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone() -> None:
-    """Two workers run the same two specs in opposite order: the same rows."""
+    """Two workers run the same two specs in opposite order and give the same rows."""
     short = replace(SHORT, steps=1, random_replicates=0, noise_replicates=1)
     specs = make_spec(transfer_scenes=(TransferScene(THERE, ""),), attack=short), make_spec("pose", attack=short)
     one, other = (load_assets(AssetsSpec(scenes=STREET)) for _ in range(2))

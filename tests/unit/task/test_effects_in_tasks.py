@@ -68,7 +68,7 @@ def test_a_dry_scene_with_one_return_runs_occlusion_alone_and_imports_no_effect(
 
 @pytest.fixture(scope="module")
 def rich(assets: Assets) -> Assets:
-    """Return the same assets with other scenes."""
+    """The same assets with other scenes."""
     scenes = load_assets(AssetsSpec(scenes=RICH)).scenes
     return dataclasses.replace(assets, scenes=scenes, poses={}, _scenes=OrderedDict())
 

@@ -229,7 +229,7 @@ def test_every_file_of_an_export_is_looked_for_and_others_are_not(
 
 
 def test_a_baseline_is_rendered_again_to_the_bit(shape: TaskResult, assets: Assets) -> None:
-    """It has its task's SDF grid: the report, a suite and a fine-tuning use the scene that was scored."""
+    """The rendering uses its task's SDF grid: report, suite and fine-tuning see the scene that was scored."""
     (solution,) = (row for row in shape.solutions if row["method"] == "baseline")
     again = render_solution(SPEC, solution, assets)
     theta = torch.tensor([solution[name] for name in POSE], dtype=torch.float64)

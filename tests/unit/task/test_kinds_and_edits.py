@@ -74,7 +74,7 @@ def test_a_search_that_cannot_go_over_kinds_is_refused() -> None:
 
 
 def test_a_vehicle_without_parameters_is_a_kind_of_its_own() -> None:
-    """Its shape moves along the principal components of the set's codes; its length is its own."""
+    """The vehicle's shape moves along the principal components of the set's codes; its length is its own."""
     assets = load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": None}))
     attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family", components=6)
     found = run_task(make_spec(vehicle="suv", lambda_=0.0, attack=attack), assets)

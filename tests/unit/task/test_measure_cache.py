@@ -131,7 +131,7 @@ def test_the_driver_measures_every_kind_before_the_workers(
 
 
 def measured_codes(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
-    """Codes measured from this point on."""
+    """Record the codes measured from this point on."""
     codes: list[np.ndarray] = []
     measure = NaturalnessMeter.of_code
 

@@ -60,7 +60,7 @@ def test_a_low_score_is_its_own_however_many_boxes_elsewhere_score_higher(where:
 
 
 def test_a_box_that_the_detector_never_reports_is_no_score() -> None:
-    """For example a box next to the peak of a heat map."""
+    """A box next to the peak of a heat map, for example, is never reported."""
     beside = OBJECT + np.array([0.3, 0, 0, 0, 0, 0, 0])
     detector = WholeScene(np.stack((beside, OBJECT)), np.array([0.07, 0.05]))
     detector.found = replace(detector.found, reported=torch.tensor([False, True]))

@@ -131,7 +131,7 @@ def test_a_task_without_solutions_has_nothing_to_verify(finished: tuple[TaskSpec
 
 
 def test_a_machine_that_does_not_see_the_sweeps_folder_loads_nothing(tmp_path: Path) -> None:
-    """Ray then leaves it out: with loaded assets it would fail, and quarantine, every task that it gets."""
+    """Ray then leaves the machine out: with loaded assets it would fail, and quarantine, every task that it gets."""
     elsewhere = AssetsSpec(scenes={}, results=str(tmp_path / "final"))
     with pytest.raises(InputError, match=r"final/solutions\.parquet: is not there on this machine\. Put the sweep"):
         load_verify_assets(elsewhere)

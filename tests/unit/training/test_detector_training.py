@@ -194,7 +194,7 @@ def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
 
 
 def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Path) -> None:
-    """The class head too, because the attacked network is the trained one. Encoder and backbone keep their weights."""
+    """The class head settles too: the attacked network is the trained one. Encoder and backbone keep their weights."""
     mesh = cache_scenes(tmp_path / "mesh", ["0", "1"], _scene)
     start = train_on_scenes(tmp_path / "a", TINY, mesh, stop_after=TINY.steps).state_dict()
     tuned = train_on_scenes(tmp_path / "a", TINY, mesh)
@@ -211,7 +211,7 @@ def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Pa
 
 
 def test_processes_make_the_batches_of_a_thread(tmp_path: Path) -> None:
-    """Beside a GPU, processes make the crops: the same ones, in the order of the steps."""
+    """Beside a GPU, processes make the same crops, in the order of the steps."""
     files = cache_scenes(tmp_path, ["0", "1"], _scene)
     for recipe, workers in ((TINY, 1), (replace(TINY, heads="centres"), 2)):
         net = recipe.new_network()

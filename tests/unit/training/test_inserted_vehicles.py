@@ -71,7 +71,7 @@ def test_points_lie_on_the_surface_along_their_own_beams_and_nothing_is_touched(
 
 
 def test_what_stands_before_a_vehicle_keeps_its_points() -> None:
-    """A wall all around at 7 m: nothing behind it is visible, and the scene stays unchanged."""
+    """A wall surrounds the sensor at 7 m: nothing behind it is visible, and the scene stays unchanged."""
     scene = _ground_sweep()
     offset = scene.points - np.array((0.0, 0.0, 1.8))
     wall = np.array((0.0, 0.0, 1.8)) + offset * np.minimum(1.0, 7.0 / np.linalg.norm(offset, axis=1))[:, None]

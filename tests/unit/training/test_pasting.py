@@ -80,7 +80,7 @@ def test_pasted_vehicles_stand_on_the_ground_and_touch_nothing(database: Vehicle
 
 
 def test_a_vehicle_is_seen_from_the_side_that_was_measured(database: VehicleDatabase) -> None:
-    """Pasted at the same range, its angle to the beam and its points' places in the box are unchanged."""
+    """A vehicle pasted at the same range keeps its angle to the beam and its points' places in the box."""
     for seed in range(20):
         scene = pasted(_empty(), database, np.array((0.0, 24.0)), 8.0, SAME_RANGE, 5, np.random.default_rng(seed))
         for box in scene.boxes:
@@ -101,7 +101,7 @@ def test_points_thin_with_the_square_of_the_distance(database: VehicleDatabase) 
 
 
 def test_nothing_is_left_behind_a_pasted_vehicle() -> None:
-    """A wall of points 10 m behind a box: only the points that the box hides are removed."""
+    """Points of a wall 10 m behind a box are removed only if the box hides them."""
     origin, box = np.array((0.0, 0.0, HEIGHT_M)), _box(20.0, 0.0, 0.0)
     y, z = (axis.reshape(-1) for axis in np.meshgrid(np.linspace(-6, 6, 121), np.linspace(0.01, 6, 121)))
     wall = np.stack((np.full_like(y, 30.0), y, z), axis=1).astype(np.float32)

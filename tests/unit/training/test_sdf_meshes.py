@@ -51,7 +51,7 @@ def sampled(folder: Path, seed: int = 1) -> MeshShapes:
 
 @pytest.fixture(scope="module")
 def sampled_once(folder: Path) -> tuple[MeshShapes, str]:
-    """Return the shapes of the folder, and the text printed by their sampling."""
+    """The shapes of the folder, and the text printed by their sampling."""
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         return sampled(folder), printed.getvalue()
 

@@ -39,7 +39,7 @@ def measure(mesh: trimesh.Trimesh) -> Dimensions:
     Args:
         mesh: object frame (x forward, y left, z up), metres; it stands on its lowest point.
     Returns: outer size from the bounds; the others from beams shot up from below, 1 cm apart along x and 2 cm along y.
-    The front and rear half each touch the ground in one stretch; a circle through the tread gives axle and tyre.
+        The front and rear half each touch the ground in one stretch; a circle through the tread gives axle and tyre.
     Raises: InputError if the mesh does not stand on wheels.
     Source: our choice: definitions of ISO 612 (length, width, height, wheelbase, ground clearance).
     """

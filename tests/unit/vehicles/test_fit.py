@@ -121,7 +121,7 @@ def contents(folder: Path, below: str = "*") -> dict[str, tuple[int, bytes]]:
 
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> str:
-    """Make fits take a second, in this process and in one that runs the given source first."""
+    """Settings for fits of a second, here and (by the returned source) in another process."""
     for module, name, value in ((fit, "SAMPLES", 2_000), (vehicle_set, "RESOLUTION", 33), (orientation, "STEPS", 1)):
         monkeypatch.setattr(module, name, value)
     values = "fit.SAMPLES, vehicle_set.RESOLUTION, orientation.STEPS = 2_000, 33, 1"

@@ -45,7 +45,7 @@ def test_the_same_function_agrees(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("bias", [3.9e-3, -3.9e-3])
 def test_less_than_the_tolerance_is_taken(tmp_path: Path, bias: float) -> None:
-    """Near one half, a score changes by a quarter of its logit."""
+    """A score near one half changes by a quarter of its logit."""
     assert 0.9 * TOLERANCE < check_score_agreement(*pair(tmp_path, bias), clouds(), "mine.onnx").difference < TOLERANCE
 
 

@@ -166,7 +166,7 @@ def test_no_file(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_named_with_its_extra(tmp_path: Path) -> None:
-    """Run in a process whose import of onnxruntime fails as if it were not installed."""
+    """The test runs a process whose import of onnxruntime fails as if it were not installed."""
     code = (
         "import sys, pathlib, importlib.abc\n"
         "class Gone(importlib.abc.MetaPathFinder):\n"

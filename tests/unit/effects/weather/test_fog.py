@@ -101,7 +101,7 @@ def test_beer_and_lambert_in_what_surfaces_report():
 
 @pytest.mark.parametrize("range_m", [10.0, 20.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
-    """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
+    """Albedos are uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
     context = foggy(100.0, SensorModel(limit_range_m=100.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))

@@ -129,7 +129,7 @@ def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
 
 
 def test_weaker_echoes_scatter_more_along_the_beam_alone():
-    """Albedo 0.9 at half of the limit range: four times the least power, before the rain."""
+    """Albedo 0.9 at half of the limit range has four times the least power, before the rain."""
     sensor = SensorModel(limit_range_m=100.0)
     context = raining(50.0, sensor)
     before = returns_of(context, 50.0, 0.9)
@@ -156,7 +156,7 @@ def test_noise_that_is_added_is_bounded_and_none_where_nothing_is_lost():
 
 @pytest.mark.parametrize("range_m", [15.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
-    """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
+    """Albedos are uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
     context = raining(30.0, SensorModel(limit_range_m=40.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
@@ -176,7 +176,7 @@ def test_less_and_less_rain_comes_to_the_identity():
 
 
 def test_degenerate_rows_bring_no_nan():
-    """No albedo, no range, a beam without a direction, a surface along the beam."""
+    """Rows have no albedo, no range, a beam without a direction, or a surface along the beam."""
     context = raining(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
     for known in (context, raining(20.0)):
         rows = rows_of(returns_of(known, 50.0), torch.arange(4))
@@ -195,7 +195,7 @@ def test_degenerate_rows_bring_no_nan():
 
 
 def test_gradients_of_surfaces_and_drops():
-    """For a pose that moves points along their beams the gradient equals finite differences while no return flips."""
+    """A pose moves points along their beams: its gradient equals finite differences while no return flips."""
     context = raining(20.0)
     step, before = EFFECT.bind(context), rows_of(returns_of(context, 50.0, 0.2), torch.arange(0, COUNT, 80))
     weight = torch.rand(before.points.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2))

@@ -25,7 +25,7 @@ def snowing(snow_mm_h: float, sensor: SensorModel | None = None) -> EffectContex
 
 
 def extinction(snow_mm_h: float) -> float:
-    """1e-6 (pi / 4) 2 N0 integral of (w D)^2 exp(-lambda D), D of the melted drop, w the flake's width over D."""
+    """Return 1e-6 (pi / 4) 2 N0 integral of (w D)^2 exp(-lambda D), D of the melted drop, w flake width over D."""
     return 1e-6 * math.pi * 3800.0 * snow_mm_h**-0.87 * FLAKE_WIDTH**2 / (2.55 * snow_mm_h**-0.48) ** 3
 
 
@@ -41,7 +41,7 @@ def test_visibility_in_moderate_snow():
 
 
 def test_as_many_flakes_as_gunn_and_marshall_counted():
-    """Gunn and Marshall 1958: 3.8e3 R^-0.87 per m^3 and mm of melted diameter, slope 25.5 R^-0.48 per cm."""
+    """Gunn and Marshall (1958) counted 3.8e3 R^-0.87 per m^3 and mm of melted diameter, slope 25.5 R^-0.48 per cm."""
     for rate, density, slope in ((1.0, 3800.0, 2.55), (2.0, 2079.2, 1.8283), (0.5, 6945.1, 3.5566)):
         found = flakes(rate)
         assert found.density * FLAKE_WIDTH == pytest.approx(density, rel=1e-4)
@@ -50,7 +50,7 @@ def test_as_many_flakes_as_gunn_and_marshall_counted():
 
 @pytest.mark.parametrize("snow_mm_h", [0.5, 1.0, 2.5])
 def test_what_falls_is_the_rate(snow_mm_h):
-    """Water of all flakes, pi density / slope^4 in mm^3 per m^3 of melted diameters, falling at a metre per second."""
+    """All flakes, falling at 1 m/s, carry this rate: pi density / slope^4 in mm^3 per m^3 of melted diameters."""
     found = flakes(snow_mm_h)
     density, slope = found.density * FLAKE_WIDTH, found.slope * FLAKE_WIDTH
     falls_mm_h = math.pi * density / slope**4 * 1.0 * 3600.0 / 1e6
@@ -99,7 +99,7 @@ def test_flakes_that_cover_enough_of_the_beam(snow_mm_h, range_m, albedo):
 
 @pytest.mark.parametrize("range_m", [10.0, 20.0])
 def test_beer_and_lambert_in_what_survives(range_m):
-    """Albedo uniform in [0, 1]; a narrow beam and a poor sensor, so that no flake intervenes."""
+    """Albedos are uniform in [0, 1]; the beam is narrow and the sensor poor, so that no flake intervenes."""
     context = snowing(2.0, SensorModel(limit_range_m=25.0, divergence_rad=1e-5))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))

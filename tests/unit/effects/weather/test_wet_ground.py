@@ -102,7 +102,7 @@ def test_a_white_ground_loses_nothing_but_what_the_water_mirrors(cosine):
 
 
 def test_wet_albedo_by_hand():
-    """Head on, 0.3: 0.98^2 * 0.3 / 1.33^2 / (1 - 0.3 R_wa), some 60 % of the dry value; along the ground nothing."""
+    """Albedo 0.3 head on: 0.98^2 * 0.3 / 1.33^2 / (1 - 0.3 R_wa), some 60 % of the dry value; along the ground 0."""
     through = 1.0 - (0.33 / 2.33) ** 2
     expected = through**2 * 0.3 / 1.33**2 / (1.0 - 0.3 * internal_reflectance())
     torch.testing.assert_close(wet_albedo(values(0.3, 0.3, 0.0), values(1.0, 0.0, 1.0)), values(expected, 0.0, 0.0))
