@@ -1,4 +1,4 @@
-"""Results by hand, as tables and pages of the analysis take them."""
+"""Handmade results in the form that tables and pages of the analysis take."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DETECTOR = "pointpillars"
 
 
 def variant(scores: dict[tuple[str, str], list[float]], mode: str = "shape", **more: Any) -> Variant:
-    """Scores by (method, vehicle), one a scene. more: columns of the rows, by task as "vehicle-scene"."""
+    """Make a variant from scores by (method, vehicle), a score per scene. more: columns by task "vehicle-scene"."""
     more = {"natural": {}, **more}
     weight = 1.0 if mode == "shape" else np.nan
     rows = [
@@ -46,12 +46,12 @@ def variant(scores: dict[tuple[str, str], list[float]], mode: str = "shape", **m
 
 
 def blocks_html(blocks: Sequence[Block]) -> str:
-    """Blocks as they stand in a page."""
+    """Return blocks as a page renders them."""
     return document("", [Section("tested", "", blocks)]).partition("<section")[2].partition("</section>")[0]
 
 
 def two_vehicles() -> Variant:
-    """Two vehicles in twelve scenes, whose adversarial scores are half of the baseline's."""
+    """Make two vehicles in twelve scenes, whose adversarial scores are half of the baseline's."""
     rng = np.random.default_rng(1)
     base = {("baseline", name): list(0.7 + 0.2 * rng.random(12)) for name in ("coupe", "suv")}
     hard = {("adversarial", name): [0.5 * v for v in base["baseline", name]] for name in ("coupe", "suv")}

@@ -1,4 +1,4 @@
-"""Fields with closed forms, for tests: they take the place of a decoder's field, at the same call."""
+"""Closed-form fields for tests, with the call signature of a decoder's field."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Field = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Frame:
-    """A vehicle's frame. The default maps metres to sdf units one to one."""
+    """Vehicle frame. The default maps metres to sdf units one to one."""
 
     size_m: tuple[float, float, float] = (4.4, 1.8, 1.5)
     scale_m: float = 1.0
@@ -22,7 +22,7 @@ class Frame:
     sdf_t_object: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
-# A frame as ShapeNet's: x width, y up, z length, off centre, 2.5 m per unit.
+# A frame like ShapeNet's: x width, y up, z length, off centre, 2.5 m per unit.
 SHAPENET_FRAME = Frame(
     scale_m=2.5,
     sdf_R_object=np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
@@ -31,7 +31,7 @@ SHAPENET_FRAME = Frame(
 
 
 def in_frame(metric: Field, frame: Frame) -> Field:
-    """The sdf-frame field of a shape given in the object frame and in metres."""
+    """Return the sdf-frame field of a shape that is given in the object frame and in metres."""
     rotation = torch.as_tensor(frame.sdf_R_object)
     shift = torch.as_tensor(frame.sdf_t_object)
 
@@ -63,7 +63,7 @@ def rounded(field: Field, radius: float) -> Field:
 
 
 def car() -> Field:
-    """Body, cabin, four wheels: 4.4 x 1.8 x 1.5 m, edges rounded by 5 cm."""
+    """Return a car of body, cabin and four wheels: 4.4 x 1.8 x 1.5 m, edges rounded by 5 cm."""
     body = rounded(box((2.15, 0.85, 0.35), (0.0, 0.0, -0.15)), 0.05)
     cabin = rounded(box((1.0, 0.75, 0.3), (-0.2, 0.0, 0.4)), 0.05)
     wheels = [rounded(box((0.25, 0.08, 0.25), (1.3 * sx, 0.75 * sy, -0.45)), 0.05) for sx in (-1, 1) for sy in (-1, 1)]
@@ -71,13 +71,13 @@ def car() -> Field:
 
 
 def soft_car(code: Tensor) -> Field:
-    """A smooth shape of a code (6,): ellipsoid semi-axes 2.0, 0.9, 0.7 changed by code[:3], ripples by the rest."""
+    """Return a smooth shape of a code (6,): ellipsoid semi-axes 2.0, 0.9, 0.7 changed by code[:3]; the rest ripples."""
 
     def g(x: Tensor) -> Tensor:
         c = code.to(x)
         axes = x.new_tensor([2.0, 0.9, 0.7]) * (1.0 + 0.2 * torch.tanh(c[:3]))
         ripple = 0.05 * (c[3:] * torch.sin(2.0 * x)).sum(-1)
-        # |x / a| - 1 scaled by the smallest axis is below the distance, so a march stays safe.
+        # |x / a| - 1 scaled by the smallest axis is less than the distance, so a march cannot step over the surface.
         return ((x / axes).norm(dim=-1) - 1.0) * 0.6 + ripple
 
     return g
@@ -86,7 +86,7 @@ def soft_car(code: Tensor) -> Field:
 def ground_scan(
     rings: int = 48, columns: int = 720, height_m: float = 1.73, far_m: float = 60.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns of a spinning sensor over flat ground with a wall of radius far_m: points float32, origin."""
+    """Scan flat ground and a wall of radius far_m with a spinning sensor. Returns float32 points and the origin."""
     elevation = np.deg2rad(np.linspace(-24.0, 2.0, rings))
     azimuth = np.linspace(-np.pi, np.pi, columns, endpoint=False)
     e, a = np.meshgrid(elevation, azimuth, indexing="ij")
@@ -104,7 +104,7 @@ def sector_scan(
     far_m: float = 40.0,
     dtype: type = np.float64,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A square fan of beams from the origin about the direction of a centre, all returning from far_m."""
+    """Make a square fan of beams from the origin about the direction of a centre, all returning from far_m."""
     axis = np.asarray(centre) / np.linalg.norm(centre)
     side = np.cross([0.0, 0.0, 1.0], axis)
     side /= np.linalg.norm(side)

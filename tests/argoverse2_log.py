@@ -1,4 +1,4 @@
-"""Writes a log of Argoverse 2: two LiDARs that turn clockwise on a vehicle that drives and turns."""
+"""Writer of an Argoverse 2 log: two LiDARs that turn clockwise on a vehicle that drives and turns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COLUMNS = 90
 
 
 def city_SE3_ego(time_ns: int) -> np.ndarray:
-    """(4, 4), level, as the log's poses have it."""
+    """Return the vehicle's pose (4, 4), level like the poses of the log."""
     time_s = (time_ns - START) * 1e-9
     yaw, out = -0.4 + TURN_RAD_S * time_s, np.eye(4)
     out[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
@@ -30,7 +30,7 @@ def quaternion(yaw: float) -> dict[str, float]:
 
 
 def write_log(root: Path, sweeps: int = 2, labels: bool = True, counts: bool = True, width: type = np.float16) -> Path:
-    """Write a log below root and return its folder. counts: whether annotations have num_interior_pts."""
+    """Write a log below root and return its folder. counts: if annotations have num_interior_pts."""
     log = root / LOG
     for part in ("sensors/lidar", "calibration"):
         (log / part).mkdir(parents=True)

@@ -25,14 +25,14 @@ ENVIRONMENT = {
 
 
 def _one_put_at_a_time(self: Any, environ: dict[str, Any], start_response: Any) -> Any:
-    """S3 creates an object in one step; moto looks whether it is there, and then writes."""
+    """Handle one PUT at a time. S3 creates an object in one step; moto checks for it first and then writes."""
     with _PUT if environ["REQUEST_METHOD"] == "PUT" else contextlib.nullcontext():
         return _ANSWER(self, environ, start_response)
 
 
 @contextlib.contextmanager
 def bucket_server() -> Iterator[str]:
-    """The endpoint of moto's HTTP server, while this is open. Port: a free one."""
+    """Run moto's HTTP server on a free port and yield its endpoint."""
     DomainDispatcherApplication.__call__ = _one_put_at_a_time  # type: ignore[method-assign]
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
@@ -44,7 +44,7 @@ def bucket_server() -> Iterator[str]:
 
 
 def new_bucket(endpoint: str) -> str:
-    """The name of a new bucket."""
+    """Make a bucket and return its name."""
     name = f"bucket{os.getpid()}n{next(_NUMBERS)}"
     keys = {"aws_access_key_id": "test", "aws_secret_access_key": "test", "region_name": "us-east-1"}
     boto3.client("s3", endpoint_url=endpoint, **keys).create_bucket(Bucket=name)

@@ -1,4 +1,4 @@
-"""What every test shares: one thread, fixed seeds, and the folder of real data where there is one."""
+"""Settings of all tests: one thread, fixed seeds, and the folder of real data if it exists."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from hypothesis import settings
 from shift3d.errors import InputError
 from shift3d.processor import configure_runtime
 
-# As a worker, before torch is imported. One thread: the tests run beside each other, and a task's bytes are defined on
-# one thread.
+# As in a worker, before torch is imported. One thread: tests run in parallel, and a task's bytes are defined on one
+# thread.
 configure_runtime(1)
 
-# Every Ray of a session of tests asks for one token, and nothing is written to anybody's home.
+# Every Ray of a test session uses one token, and nothing is written to the user's home.
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
-# Drawn examples are the same in every run: what fails once fails always. --hypothesis-profile=default draws others.
+# Drawn examples are the same in every run, so that a failure repeats. --hypothesis-profile=default draws others.
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
@@ -33,13 +33,13 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that take minutes begin first, so that none is left to one process when the others are done."""
+    """Start the tests that take minutes first, so that no process is left with one at the end."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[Any]:
-    """Modules and tests stay for the whole session: they are not searched for garbage, then and now."""
+    """Exclude modules and tests from garbage collection: they live for the whole session."""
     gc.disable()
     try:
         return (yield)
@@ -50,7 +50,7 @@ def pytest_collection() -> Iterator[Any]:
 
 @pytest.fixture(scope="session", autouse=True)
 def compositions() -> Iterator[None]:
-    """Hydra composes the same words over the same files once in a session."""
+    """Cache of Hydra's compositions: the same words over the same files are composed once per session."""
     from shift3d.settings import compose
 
     fresh, known = compose._hydra, {}
@@ -67,7 +67,7 @@ def compositions() -> Iterator[None]:
         def once(overrides: Sequence[str]) -> Any:
             key = (files, tuple(overrides))
             if key not in known:
-                known[key] = run(overrides)  # what it refuses is not kept
+                known[key] = run(overrides)  # refused words are not cached
             return copy.deepcopy(known[key])
 
         return once, parse
@@ -79,14 +79,14 @@ def compositions() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def subnormal_numbers() -> None:
-    """The loop of a training flushes them to zero for good; without them hypothesis cannot draw near zero."""
+    """Restore subnormal numbers, which a training loop flushes to zero for good: hypothesis needs them near zero."""
     if torch := sys.modules.get("torch"):
         torch.set_flush_denormal(False)
 
 
 @pytest.fixture
 def real_data() -> Callable[[str], Path]:
-    """``real_data("kitti")`` is that folder of real data beside the repository; the test skips where it is absent."""
+    """``real_data("kitti")`` is that folder of real data beside the repository; a test skips if it does not exist."""
 
     def find(name: str) -> Path:
         root = Path(os.environ.get("SHIFT3D_REAL_DATA", REPOSITORY.parent / "shared" / "real"))

@@ -1,4 +1,4 @@
-"""An HTTP proxy before a real S3 server: it takes Google's requests too, and loses answers, refuses, or worse."""
+"""HTTP proxy before a real S3 server: accepts Google's requests too, loses answers, refuses, and more."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from urllib.parse import urlsplit
 
 
 class FaultyProxy(ThreadingHTTPServer):
-    """Forwards requests.
+    """Proxy that forwards requests.
 
-    lost: how many of the next PUTs reach the server and get no answer. refusal: (status, code) that every request gets
-    in place of an answer. unconditional: If-None-Match is not passed on. requests: methods seen.
+    lost: number of next PUTs that reach the server and get no answer. refusal: (status, code) that answers every
+    request. unconditional: drops If-None-Match. requests: methods seen.
     """
 
     daemon_threads = True
@@ -40,7 +40,7 @@ class FaultyProxy(ThreadingHTTPServer):
 
 
 def _as_amazon(headers: dict[str, str]) -> dict[str, str]:
-    """Google's XML interface is Amazon's but for these two headers."""
+    """Translate Google's headers: its XML interface differs from Amazon's in these two alone."""
     if not headers.get("authorization", "").startswith("AWS4"):
         headers["authorization"] = "AWS4-HMAC-SHA256 Credential=test/20260101/us-east-1/s3/aws4_request"
     if headers.pop("x-goog-if-generation-match", None) == "0":
@@ -104,7 +104,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 @contextlib.contextmanager
 def faulty_proxy(server: str) -> Iterator[FaultyProxy]:
-    """A proxy before ``server``, on a free port of loopback, while this is open."""
+    """Run a proxy before ``server`` on a free port of loopback."""
     proxy = FaultyProxy(server)
     thread = threading.Thread(target=proxy.serve_forever, args=(0.02,), daemon=True)
     thread.start()

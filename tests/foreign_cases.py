@@ -30,7 +30,7 @@ CAR, WALKER, CYCLIST = (3.9, 1.6, 1.56), (0.8, 0.6, 1.73), (1.76, 0.6, 1.73)
 
 @dataclass(frozen=True)
 class Case:
-    """height_m, turned: the model's frame. key: what a trainer saves the state under."""
+    """Model. height_m, turned: the model's frame. key: name under which a trainer saves the state."""
 
     name: str
     write: Callable[[Path], Path]
@@ -41,28 +41,28 @@ class Case:
     choices: ForeignOverrides = NO_OVERRIDES
 
     def saved(self, folder: Path) -> tuple[Path, Path]:
-        """Config and checkpoint, in a folder."""
+        """Write config and checkpoint into a folder."""
         state = {name: value.float() if value.is_floating_point() else value for name, value in self.state().items()}
         torch.save({self.key: state, "epoch": 80, "meta": {"mmdet3d_version": "1.4.0"}}, folder / "model.pth")
         return self.write(folder), folder / "model.pth"
 
     def state(self) -> dict[str, torch.Tensor]:
-        """The model's tensors by the codebase's names."""
+        """Return the model's tensors by the codebase's names."""
         return self.source().model.state_dict()
 
     def detector(self, folder: Path, precision: Precision = "float64") -> ForeignDetector:
-        """As shift3d loads it."""
+        """Load the model with shift3d."""
         config, weights = self.saved(folder)
         return load_foreign(foreign_layout(self.name.split("-")[0], config, self.choices), weights, precision)
 
     def to_model(self, points: torch.Tensor) -> torch.Tensor:
-        """Points of the network frame in the model's."""
+        """Transform points from the network frame to the model's frame."""
         x, y, z = points.unbind(1)
         x, y = (-y, x) if self.turned else (x, y)
         return torch.stack((x, y, z - self.height_m), dim=1)
 
     def from_model(self, boxes: torch.Tensor) -> torch.Tensor:
-        """Boxes of the model's frame in the network frame."""
+        """Transform boxes from the model's frame to the network frame."""
         result = boxes.clone()
         if self.turned:
             result[:, 0], result[:, 1], result[:, 6] = boxes[:, 1], -boxes[:, 0], boxes[:, 6] - pi / 2
@@ -139,7 +139,7 @@ CASES = {
 
 
 def scene(case: Case, count: int = 250, crowded: int = 25) -> torch.Tensor:
-    """(N, 3) float64 points over the model's range and a little beyond, network frame; some pillars nearly full."""
+    """Make points (N, 3) float64 over the model's range and a bit beyond, network frame; some pillars nearly full."""
     draw = torch.Generator().manual_seed(5)
     bounds = torch.tensor(WIDE_RANGE if case.turned or case.height_m == 0 else KITTI_RANGE, dtype=torch.float64)
     low, high = bounds[:3] - 0.5, bounds[3:] + 0.5
@@ -151,7 +151,7 @@ def scene(case: Case, count: int = 250, crowded: int = 25) -> torch.Tensor:
 
 
 def far(case: Case, folder: Path) -> tuple[Path, Path]:
-    """Config and checkpoint of a case of WIDE_RANGE, its pillars eight times as large: 51.2 m to each side."""
+    """Write config and checkpoint of a WIDE_RANGE case with pillars eight times as large: 51.2 m to each side."""
     config, weights = case.saved(folder)
     for file in [*folder.rglob("*.py"), *folder.rglob("*.yaml")]:
         text = file.read_text().replace("-6.4, -6.4", "-51.2, -51.2").replace("6.4, 6.4", "51.2, 51.2")

@@ -293,7 +293,7 @@ def _pcd(folder: Path, data_set: str, features: list[str], base: str, text: str)
 
 
 def pcd_pointpillar(folder: Path, aligned: bool = False) -> Path:
-    """OpenPCDet's PointPillar on KITTI's scale."""
+    """Write OpenPCDet's PointPillar on KITTI's scale."""
     classes = {
         "Car": ("3.9, 1.6, 1.56", -1.78),
         "Pedestrian": ("0.8, 0.6, 1.73", -0.6),
@@ -309,14 +309,14 @@ def pcd_pointpillar(folder: Path, aligned: bool = False) -> Path:
 
 
 def pcd_coarse(folder: Path) -> Path:
-    """The same with a map of anchors that is coarser than the backbone's coarsest."""
+    """Write the same model with a map of anchors that is coarser than the backbone's coarsest."""
     path = pcd_pointpillar(folder, aligned=True)
     text = path.read_text().replace("[2, 2, 2]", "[1, 1, 2]").replace("[1, 2, 4]", "[0.25, 0.25, 0.5]")
     return _written(path, text.replace("'feature_map_stride': 2", "'feature_map_stride': 4"))
 
 
 def pcd_centerpoint_waymo(folder: Path) -> Path:
-    """OpenPCDet's CenterPoint on pillars for Waymo: two pillar layers, one head of three classes, biases."""
+    """Write OpenPCDet's CenterPoint on pillars for Waymo: two pillar layers, one head of three classes, biases."""
     base = "cfgs/dataset_configs/waymo_dataset.yaml"
     text = _PCD_CENTERPOINT.format(
         classes=["Pedestrian", "Vehicle", "Cyclist"], base=base, vfe="PillarVFE", filters=[8, 8], strides=[1, 2, 2],
@@ -327,7 +327,7 @@ def pcd_centerpoint_waymo(folder: Path) -> Path:
 
 
 def pcd_centerpoint_nuscenes(folder: Path) -> Path:
-    """OpenPCDet's CenterPoint on dynamic pillars for nuScenes: several heads with velocities, a coarser map."""
+    """Write OpenPCDet's CenterPoint on dynamic pillars for nuScenes: several heads, velocities, a coarser map."""
     base = "cfgs/dataset_configs/nuscenes_dataset.yaml"
     text = _PCD_CENTERPOINT.format(
         classes=["car", "truck", "bus"], base=base, vfe="DynPillarVFE", filters=[8], strides=[2, 2, 2],
@@ -339,19 +339,19 @@ def pcd_centerpoint_nuscenes(folder: Path) -> Path:
 
 
 def mm_pointpillars(folder: Path) -> Path:
-    """mmdetection3d's PointPillars on KITTI's scale, legacy pillar features."""
+    """Write mmdetection3d's PointPillars on KITTI's scale, legacy pillar features."""
     data = _MM_DATA.format(data_set="KittiDataset", classes=["Pedestrian", "Cyclist", "Car"], load=4)
     return _written(folder / "pointpillars.py", data + _MM_POINTPILLARS)
 
 
 def mm_hard(folder: Path) -> Path:
-    """mmdetection3d's PointPillars for nuScenes: HardVFE of two layers, velocities, anchors from border to border."""
+    """Write mmdetection3d's PointPillars for nuScenes: two HardVFE layers, velocities, border-to-border anchors."""
     mm_pointpillars(folder)
     return _written(folder / "hard.py", _MM_HARD)
 
 
 def mm_centerpoint(folder: Path) -> Path:
-    """mmdetection3d's CenterPoint on pillars for nuScenes, in three files."""
+    """Write mmdetection3d's CenterPoint on pillars for nuScenes, in three files."""
     classes = ["car", "truck", "construction_vehicle", "bus"]
     _written(folder / "_base_/datasets/set.py", _MM_DATA.format(data_set="NuScenesDataset", classes=classes, load=5))
     _written(folder / "_base_/models/pillars.py", _MM_CENTERPOINT)

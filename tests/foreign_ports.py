@@ -1,11 +1,11 @@
 """The shipped PointPillars and CenterPoint as checkpoints and configs of OpenPCDet and mmdetection3d.
 
-What the codebases compute otherwise is undone in the weights, so that both give the same numbers:
-- Their pillars are filled up with points of zeros, which a bias would turn into features. The first layer's bias is the
-  weight of the intensity, a constant that points of zeros lack.
+The weights undo the differences of the codebases' computations, so that both give the same numbers:
+- Their pillars are padded with points of zeros, which a bias would turn into features. The first layer's bias therefore
+  is the weight of the intensity, a constant that points of zeros lack.
 - Their origin is the sensor's: its height goes into that bias, and into the heights of anchors and boxes.
-- CenterPoint's 3x3 convolutions have a centre alone. The shared one holds what each output is of the features, once as
-  it is and once negated: the ReLU between them and the outputs is undone by a difference.
+- CenterPoint's 3x3 convolutions use the centre alone. The shared convolution holds each output's function of the
+  features, once plain and once negated: a difference undoes the ReLU between it and the outputs.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from shift3d.detectors.foreign.config_common import ForeignOverrides
 from shift3d.detectors.models.pillar_net import FEATURE_SCALE
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 
-_NO_NORM = 1.0 - 1e-3  # variance of a norm that does nothing, with eps=1e-3
+_NO_NORM = 1.0 - 1e-3  # variance of a norm that is the identity, with eps=1e-3
 _NO_NORM_HEAD = 1.0 - 1e-5
 
 
 @dataclass(frozen=True)
 class Port:
-    """codebase: "openpcdet" or "mmdet3d". shipped: the detector's name. height_m, intensity: as its data set has it."""
+    """codebase: "openpcdet" or "mmdet3d". shipped: the detector's name. height_m, intensity: of its data set."""
 
     codebase: str
     shipped: str
@@ -41,11 +41,11 @@ class Port:
 
     @property
     def choices(self) -> ForeignOverrides:
-        """What is said beside the config: Waymo's intensities are on an open scale."""
+        """Overrides beside the config: Waymo's intensities are on an open scale."""
         return ForeignOverrides(intensity=self.intensity if self.data_set == "WaymoDataset" else None)
 
     def saved(self, folder: Path) -> tuple[Path, Path]:
-        """Config and checkpoint, in a folder."""
+        """Write config and checkpoint into a folder."""
         pcd = self.codebase == "openpcdet"
         net = load_network(WEIGHTS_FOLDER / f"{self.shipped}.safetensors", self.shipped).double()
         state = net.state_dict()
@@ -109,7 +109,7 @@ class Port:
             **_no_norm(f"{head}.{norm}", 2 * count, _NO_NORM_HEAD),
         }
         difference = torch.cat((torch.eye(count), -torch.eye(count)), dim=1)[:, :, None, None].double()
-        turn = [8, 7] if pcd else [7, 8]  # OpenPCDet's cosine comes first
+        turn = [8, 7] if pcd else [7, 8]  # OpenPCDet stores the cosine first
         rows = dict(zip(_branches(pcd), ([0], [1, 2], [3], [4, 5, 6], turn), strict=True))
         for name, picked in rows.items():
             there = f"{head}.{'heads_list' if pcd else 'task_heads'}.0.{name}.0"
@@ -154,12 +154,12 @@ def _no_norm(name: str, channels: int, variance: float) -> dict[str, Tensor]:
 
 
 def _centre_alone(weight: Tensor) -> Tensor:
-    """A 1x1 convolution's weight as that of a 3x3 one."""
+    """Return a 1x1 convolution's weight as that of a 3x3 convolution."""
     return torch.nn.functional.pad(weight, (1, 1, 1, 1))
 
 
 def _branches(pcd: bool) -> tuple[str, ...]:
-    """Names of heat map, offset, height, size and turn."""
+    """Return the names of heat map, offset, height, size and turn."""
     return ("hm", "center", "center_z", "dim", "rot") if pcd else ("heatmap", "reg", "height", "dim", "rot")
 
 

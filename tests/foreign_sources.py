@@ -1,6 +1,6 @@
-"""The arithmetic of OpenPCDet's and mmdetection3d's pillar models, written plainly: loops over points and anchors.
+"""Arithmetic of OpenPCDet's and mmdetection3d's pillar models, written plainly: loops over points and anchors.
 
-Independent of shift3d: modules are nested so that their state dicts have the codebases' names.
+The code is independent of shift3d. Modules are nested so that their state dicts have the codebases' names.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class Pillars:
-    """How a model makes pillars. cap: slots; None: dynamic. legacy: offsets over the coordinates. hard: HardVFE's."""
+    """Pillar settings. cap: slots; None: dynamic. legacy: offsets over the coordinates. hard: HardVFE's."""
 
     bounds: Sequence[float]
     voxel: Sequence[float]
@@ -42,7 +42,7 @@ class Anchors:
 
 @dataclass(frozen=True)
 class Centres:
-    """tasks: classes of each head."""
+    """Centre head settings. tasks: classes of each head."""
 
     tasks: Sequence[int]
     task: int
@@ -56,7 +56,7 @@ class Centres:
 
 @dataclass(frozen=True)
 class Source:
-    """A model of one of the codebases. pcd: whether it is OpenPCDet's."""
+    """Model of one of the codebases. pcd: True if the codebase is OpenPCDet."""
 
     pcd: bool
     pillars: Pillars
@@ -68,7 +68,7 @@ class Source:
     model: nn.Module = field(init=False)
 
     def __post_init__(self) -> None:
-        """Random weights, with lively statistics of norms."""
+        """Draw random weights and varied statistics of norms."""
         torch.manual_seed(3)
         model = nn.Module()
         p = self.prefix
@@ -103,11 +103,11 @@ class Source:
         object.__setattr__(self, "model", model.double().eval())
 
     def part(self, name: str) -> nn.Module:
-        """A part of the model."""
+        """Return a part of the model."""
         return getattr(self.model, self.prefix + name)  # type: ignore[no-any-return]
 
     def answer(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Boxes (A, 7), geometric centres, and the vehicle's logits (A,), of points (N, 3) in the model's frame."""
+        """Compute boxes (A, 7), geometric centres, and vehicle logits (A,) of points (N, 3) in the model's frame."""
         maps = self._features(self._canvas(points))
         if isinstance(self.head, Anchors):
             return self._anchored(maps, self.head)
@@ -209,7 +209,7 @@ class Source:
 def _decoded(
     at: Sequence[float], size: Sequence[float], rotation: float, code: Sequence[float], direction: int, offset: float
 ) -> tuple[float, ...]:
-    """A box from an anchor on its bottom, and its code. Both codebases decode heights between geometric centres."""
+    """Decode a box from an anchor on its bottom and a code. Both codebases decode heights between geometric centres."""
     diagonal, middle = hypot(size[0], size[1]), at[2] + size[2] / 2
     heading = code[6] + rotation - offset
     heading = heading - floor(heading / pi) * pi + offset + pi * direction

@@ -1,4 +1,4 @@
-"""Rows of a frontier written by hand, whose right answers can be worked out on paper."""
+"""Handmade rows of a frontier, whose right answers can be worked out on paper."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PAPER_MS = 800.0
 
 
 def frontier_row(setting: str, ms: float, **changes: Any) -> dict[str, Any]:
-    """A row without any error; `paper` takes 800 ms."""
+    """Make a row without any error; `paper` takes 800 ms."""
     row: dict[str, Any] = {"setting": setting, "method": "presets", "knob": None, "knob_name": None, "preset": None}
     row |= {"start": "warm" if "warm" in setting else "cold", "grid": False, "gradient": "no"}
     row |= {"scenes": "street", "renders": 10, "beams": 20_000, "hits": 10_000, "ms_median": ms, "ms_low": 0.9 * ms}
@@ -26,7 +26,7 @@ def frontier_row(setting: str, ms: float, **changes: Any) -> dict[str, Any]:
 
 
 def with_depth(p99_m: float) -> dict[str, float]:
-    """Depth columns that make an effective error of p99_m: (0.5 * 0.1 + 0.49 + 0.01 * 46) p99_m."""
+    """Return depth columns that give an effective error of p99_m: (0.5 * 0.1 + 0.49 + 0.01 * 46) p99_m."""
     return {"depth_p50_m": 0.1 * p99_m, "depth_p99_m": p99_m, "depth_max_m": 46.0 * p99_m}
 
 
@@ -36,7 +36,7 @@ def march(knob: float, ms: float, p99_m: float, **more: Any) -> dict[str, Any]:
 
 
 def small_rows() -> list[dict[str, Any]]:
-    """Six cold settings and a warm one. Front: draft, standard, reference, and the warm one."""
+    """Return six cold settings and a warm one. Front: draft, standard, reference, and the warm one."""
     found = {"gradient_cosine": 0.9995, "auc_delta": -0.002, "step_ms_median": 25.0, "step_ratio_to_paper": 320.0}
     return [
         march(0.4, 100.0, 2e-2),
@@ -51,19 +51,19 @@ def small_rows() -> list[dict[str, Any]]:
 
 
 def flagged(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows with their column `pareto` as it follows from them."""
+    """Return the rows with the column `pareto` that follows from them."""
     return [row | {"pareto": flag} for row, flag in zip(rows, pareto_flags(rows))]
 
 
 def frame_of(rows: list[dict[str, Any]]) -> pd.DataFrame:
-    """The rows as the frame that reading them back from Parquet gives."""
+    """Return the rows as the frame that reading them back from Parquet gives."""
     from shift3d.store.frontier_table import frontier_table
 
     return frontier_table(flagged(rows)).to_pandas()
 
 
 def _swept(method: str, knob_name: str, rows: list[tuple[float, float, float, float]], **more: Any) -> list[Any]:
-    """knob, ms, missed, p99_m of one method's rows."""
+    """Return rows of one method from (knob, ms, missed, p99_m)."""
     return [
         frontier_row(
             f"{method} {knob:g}",
@@ -82,7 +82,7 @@ def _swept(method: str, knob_name: str, rows: list[tuple[float, float, float, fl
 
 
 def realistic_rows(scenes: str = "street", slower: float = 1.0) -> list[dict[str, Any]]:
-    """Settings such as a real measurement has, 31 of them; times and errors of their order of magnitude."""
+    """Return 31 settings like those of a real measurement, with times and errors of their order of magnitude."""
     steps, missed = (0.4, 0.2, 0.1, 0.05, 0.025, 0.0125), (0.019, 0.0077, 0.0034, 0.0015, 2e-4, 5e-5)
     marches = [(step, 80 / step, share, 2e-7) for step, share in zip(steps, missed)]
     boxed = [(step, 1.9 + 0.6 / step, share, 2e-7) for step, share in zip(steps, missed)]

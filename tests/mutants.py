@@ -2,9 +2,9 @@
 
     python tests/mutants.py shift3d/render --count 40 --seed 0
 
-cosmic-ray makes the mutants in a copy of the tree and runs the tests that `TESTS` names for a room. A mutant counts as
-noticed when an assertion fails or an `InputError` is raised or missing (`--assertions-only`, see conftest.py). A test
-that merely crashes proves nothing. The table lists the other mutants, with their difference.
+cosmic-ray makes the mutants in a copy of the tree and runs the tests that `TESTS` names for a package. A mutant counts
+as noticed when an assertion fails or an `InputError` is raised or missing (`--assertions-only`, see conftest.py). A
+test that merely crashes proves nothing. The table lists the other mutants, with their difference.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ TESTS = {
     "shift3d/geometry": "tests/hard_cases tests/unit/geometry",
     "shift3d/store": "tests/hard_cases tests/unit/store",
 }
-"""Rooms and the tests that are to notice a break in them."""
+"""Packages and the tests that should notice a break in them."""
 TIMEOUT_S = 240.0
-# Words that only a type checker reads are no behaviour.
+# Only a type checker reads these operators: they have no effect at run time.
 NO_BEHAVIOUR = ("core/ReplaceBinaryOperator_BitOr",)
 
 
@@ -63,12 +63,12 @@ def _cosmic_ray(tree: Path, *words: str) -> None:
 
 
 def _environment(tree: Path) -> dict[str, str]:
-    """The copy's package, not the installed one; no stale bytecode of another mutant."""
+    """Return an environment with the copy's package, not the installed one, and without another mutant's bytecode."""
     return {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "SHIFT3D_REAL_DATA": "absent"}
 
 
 def _copy(folder: Path) -> Path:
-    """The tracked files of the tree, as they are now."""
+    """Copy the tracked files of the tree in their current state."""
     names = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\n")
     for name in filter(None, names):
         if (ROOT / name).is_file():
@@ -86,7 +86,7 @@ def _config(room: str) -> str:
 
 
 def _sample(db: WorkDB, count: int, seed: int) -> set[str]:
-    """A sample of all mutants, the same for a seed as long as the room is; the others are skipped."""
+    """Sample all mutants and skip the others. The sample is the same for a seed as long as the package is unchanged."""
     items = list(db.work_items)
     behaviour = [item for item in items if not item.mutations[0].operator_name.startswith(NO_BEHAVIOUR)]
     behaviour.sort(key=lambda item: str(item.mutations[0]))

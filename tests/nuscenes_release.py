@@ -1,4 +1,4 @@
-"""Writes a release of nuScenes: tables, key frames and the sweeps between them, of a wall that a car drives past."""
+"""Writer of a nuScenes release: tables, key frames and the sweeps between them, of a wall that a car drives past."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def row_of(yaw: float, xyz: tuple[float, ...]) -> dict[str, Any]:
 
 
 def drive_at(time_s: float, drive: int) -> tuple[float, tuple[float, float, float]]:
-    """Yaw and place of the vehicle in the global frame: poses of this data set are level and at height 0."""
+    """Return yaw and place of the vehicle in the global frame: poses of this data set are level and at height 0."""
     yaw = 0.6 + drive
     return yaw, (411.0 + SPEED_M_S * time_s * np.cos(yaw), 1180.0 + SPEED_M_S * time_s * np.sin(yaw), 0.0)
 
@@ -102,8 +102,7 @@ def _annotations(sample: str, drive: int) -> list[dict[str, Any]]:
 
 
 def scan(global_SE3_lidar: np.ndarray, drive: int) -> np.ndarray:
-    """(N, 5): ground, and walls 12 m to each side of the road, by rings from the lowest, column after column; the
-    last points are the car's own roof."""
+    """Return (N, 5): ground and walls 12 m to each side, by rings from the lowest, column by column; the roof last."""
     turn = np.repeat(np.pi - 2 * np.pi * (np.arange(COLUMNS) + 0.5) / COLUMNS, RINGS)
     ring = np.tile(np.arange(RINGS), COLUMNS)
     up = np.deg2rad(-30.6 + 41.3 * ring / (RINGS - 1))
@@ -121,7 +120,7 @@ def scan(global_SE3_lidar: np.ndarray, drive: int) -> np.ndarray:
 
 
 def change_table(root: Path, name: str, change: Callable[[list[dict[str, Any]]], Any]) -> None:
-    """Write a table again after a change, which may return other rows."""
+    """Rewrite a table after a change, which may return other rows."""
     path = root / VERSION / f"{name}.json"
     rows = json.loads(path.read_text())
     changed = change(rows)

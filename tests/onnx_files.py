@@ -1,4 +1,4 @@
-"""ONNX files made by hand: a graph of a few operators, and what is wrong with it on demand."""
+"""Handmade ONNX files: a graph of a few operators, with selectable defects."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ BOXES = np.array([[20.0, 3.0, 0.8, 4.5, 1.9, 1.6, 0.1], [-15.0, 9.0, 0.7, 4.0, 1
 
 
 def spread(points: np.ndarray, bias: float = 0.0) -> np.ndarray:
-    """(2,) float64 scores of the graph: the sigmoid of the mean of x / 100, plus and minus, and a bias."""
+    """Return (2,) float64 scores of the graph: the sigmoid of the mean of x / 100, plus and minus, and a bias."""
     mean = points[:, 0].astype(np.float64).mean() / 100
     return 1.0 / (1.0 + np.exp(-(np.array([mean, -mean]) + bias)))
 
 
 def graph_nodes() -> list[Any]:
-    """points (N, 3) -> boxes (2, 7), scores (2,)."""
+    """Return the nodes of a graph: points (N, 3) -> boxes (2, 7), scores (2,)."""
     return [
         helper.make_node("Slice", ["points", "zero", "one", "axis"], ["x"]),
         helper.make_node("ReduceMean", ["x"], ["mean"], keepdims=0),
@@ -31,7 +31,7 @@ def graph_nodes() -> list[Any]:
 
 
 def model(bias: float = 0.0, nodes: list[Any] | None = None, columns: Any = 3, **parts: Any) -> onnx.ModelProto:
-    """The graph as a model. bias: of both logits. parts: outputs, points (the input's name), rows, dtype, boxes."""
+    """Return the graph as a model. bias: of both logits. parts: outputs, points (input name), rows, dtype, boxes."""
     constants = {
         "zero": np.array([0], np.int64),
         "one": np.array([1], np.int64),
@@ -54,7 +54,7 @@ def model(bias: float = 0.0, nodes: list[Any] | None = None, columns: Any = 3, *
 
 
 def write_model(path: Path, bias: float = 0.0, **parts: Any) -> Path:
-    """The graph as a file."""
+    """Write the graph as a file."""
     onnx.save_model(model(bias, **parts), path)
     return path
 
@@ -68,4 +68,4 @@ BOXES = torch.tensor({BOXES.tolist()})
 def load(weights):
     return lambda points: (BOXES, points[:, 0].sum() / max(len(points), 1) / 100 * torch.tensor([1.0, -1.0]))
 """
-"""The same function with the bias 0, as a Python file of a user's own detector."""
+"""The same function with bias 0, as a Python file of a user's own detector."""

@@ -1,4 +1,4 @@
-"""Networks with random weights and a random scene: what must hold whatever the weights."""
+"""Networks with random weights and a random scene, for properties that hold for any weights."""
 
 import torch
 
@@ -18,7 +18,7 @@ SLIM = {
 
 
 def random_net(name: str, seed: int = 0) -> DetectorNet:
-    """Random weights with lively batch-norm statistics and logits of order one."""
+    """Return a network with random weights, varied batch-norm statistics and logits of order one."""
     torch.manual_seed(seed)
     spec = SLIM[name]
     pillars = CenterPointNet if name == "centerpoint" else PointPillarsNet
@@ -36,14 +36,14 @@ def random_net(name: str, seed: int = 0) -> DetectorNet:
 
 
 def random_scene(count: int = 20000, seed: int = 0) -> torch.Tensor:
-    """(count, 3) float32 points all over the grid, network frame."""
+    """Return (count, 3) float32 points all over the grid, network frame."""
     generator = torch.Generator().manual_seed(seed)
     points = (torch.rand(count, 3, generator=generator) - 0.5) * torch.tensor([152.0, 152.0, 4.0])
     return points + torch.tensor([0.0, 0.0, 1.0])
 
 
 def random_decoder(seed: int = 0, idle: float = 0.6) -> Decoder:
-    """A small decoder, folded, of whose hidden units about a share is off in most of the unit ball."""
+    """Return a small folded decoder, of whose hidden units a share `idle` is off in most of the unit ball."""
     torch.manual_seed(seed)
     decoder = Decoder(Architecture(code_length=5, width=128, hidden_layers=5, skip_layer=2)).folded()
     with torch.no_grad():

@@ -1,4 +1,4 @@
-"""A small suite by hand: real files, eight scenes of random points, and a real detector of the user's own for it."""
+"""A small handmade suite: real files, eight scenes of random points, and a real user detector for it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def load(weights):
 
 
 def write_detector(folder: Path, bias: float | None = None) -> tuple[str, str | None]:
-    """Its Python file, and a file of weights with a bias; None: its own."""
+    """Write the detector's Python file, and a file of weights with a bias; None: the detector's own bias."""
     (folder / "detector.py").write_text(DETECTOR)
     if bias is None:
         return str(folder / "detector.py"), None
@@ -41,7 +41,7 @@ def write_detector(folder: Path, bias: float | None = None) -> tuple[str, str | 
 
 
 def write_suite(folder: Path, scenes: int = SCENES, scored_by: str = "") -> None:
-    """Freeze hard objects of few points and controls of many. scored_by: a detector that gave each of them 0.5."""
+    """Freeze hard objects of few points and controls of many. scored_by: detector that scored each of them 0.5."""
     rng = np.random.default_rng(5)
     files: dict[str, bytes] = {}
     objects = []

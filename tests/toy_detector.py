@@ -14,10 +14,9 @@ CELLS = 100
 
 
 class WaveDetector:
-    """Logit of an anchor: the mean of a wave sin(3 x - 2 y) over the points around it, above the ground.
+    """Detector whose logit is the mean of a wave sin(3 x - 2 y) over the points around the anchor, above the ground.
 
-    A mean, because what changes with the number of points happens at silhouettes, which the paper's gradient
-    leaves out.
+    A mean, because changes of the number of points occur at silhouettes, which the paper's gradient leaves out.
     """
 
     name = "wave"

@@ -1,4 +1,4 @@
-"""A small KITTI frame by hand, for the tests of what reads and refuses them."""
+"""A small handmade KITTI frame, for the tests of its readers and refusals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CALIBRATION = {
 
 
 def street(rows: int = 900) -> np.ndarray[Any, Any]:
-    """Points (rows, 4) float32: flat ground 1.7 m below, a wall, a return without a range and two at one place."""
+    """Return (rows, 4) float32: flat ground 1.7 m below, a wall, a return without a range and two at one place."""
     rng = np.random.default_rng(3)
     azimuth = rng.uniform(-np.pi, np.pi, rows)
     distance = rng.uniform(4.0, 40.0, rows)

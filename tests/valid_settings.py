@@ -1,4 +1,4 @@
-"""A small installation by hand: a sweep file that holds every setting itself, and two config groups.
+"""A small handmade installation: a sweep file that holds every setting itself, and two config groups.
 
 Hydra takes a third of a second to compose the repository's own files, and much less for these.
 """
@@ -27,7 +27,7 @@ def _composed() -> ComposedSweep:
 
 
 def settings() -> dict[str, Any]:
-    """A task's settings, complete."""
+    """Return a task's complete settings."""
     return json.loads(json.dumps(_composed().base))  # type: ignore[no-any-return]
 
 
@@ -47,11 +47,11 @@ def write_installation(folder: Path) -> None:
 
 @contextlib.contextmanager
 def installed(folder: Path) -> Iterator[None]:
-    """The folder as the place that shift3d is installed in."""
+    """Use the folder as the installation of shift3d."""
     before = folders.__file__
     folders.__file__ = str(folder / "shift3d" / "settings" / "folders.py")
     try:
-        with contextlib.chdir(folder):  # no other sweeps/ or conf/ come first
+        with contextlib.chdir(folder):  # no other sweeps/ or conf/ precede
             yield
     finally:
         folders.__file__ = before

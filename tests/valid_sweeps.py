@@ -1,4 +1,4 @@
-"""A finished sweep by hand: two tasks, their plan, the commit log and the segments; and a measured frontier."""
+"""A handmade finished sweep: two tasks, their plan, the commit log and the segments; and a measured frontier."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def catalogue(config: Config) -> Catalogue:
 
 @functools.cache
 def plan() -> Plan:
-    """suv in two scenes, shape alone."""
+    """Plan suv in two scenes, shape alone."""
     return make_plan(compose_sweep("smoke", ["vehicle=suv", "mode=shape"]), catalogue)[0]
 
 
 def rows(name: str, task: Any) -> list[dict[str, Any]]:
-    """Rows of a segment table: what the task says, and some value of the right type everywhere else."""
+    """Return rows of a segment table: the task's values, and any value of the right type in other columns."""
     found = []
     for index, method in enumerate(METHODS):
         row = {field.name: _BY_TYPE.get(field.type) for field in SCHEMAS[name]}
@@ -64,7 +64,7 @@ def rows(name: str, task: Any) -> list[dict[str, Any]]:
 
 @functools.cache
 def _finished() -> Path:
-    """Written once; nobody changes it."""
+    """Write the sweep once; nobody changes it."""
     folder = Path(tempfile.mkdtemp(prefix="valid-sweep-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     open_folder(folder, plan())
@@ -72,7 +72,7 @@ def _finished() -> Path:
     for task in plan().tasks:
         names = ("scores", "solutions", "timings", "attempts")
         log.commit((task.spec.task_id,), (), {name: table_from_rows(name, rows(name, task)) for name in names})
-    # The driver's name is another one in every process, and stands in file names and log entries.
+    # The driver's name differs in every process, and is part of file names and log entries.
     for path in [*(folder / "_log").glob("*.json"), *(folder / "data").iterdir()]:
         if path.suffix == ".json":
             path.write_text(path.read_text().replace(log.driver, DRIVER))
@@ -81,12 +81,12 @@ def _finished() -> Path:
 
 
 def write_sweep(folder: Path) -> None:
-    """A copy of the finished sweep: spec.yaml, env.json, plan.parquet, _log, data."""
+    """Copy the finished sweep: spec.yaml, env.json, plan.parquet, _log, data."""
     shutil.copytree(_finished(), folder, dirs_exist_ok=True)
 
 
 def write_frontier(folder: Path) -> None:
-    """frontier.parquet of two settings."""
+    """Write frontier.parquet of two settings."""
     measured = []
     for name in ("standard", "paper"):
         row = {field.name: _BY_TYPE[field.type] for field in FRONTIER_SCHEMA}

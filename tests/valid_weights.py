@@ -1,4 +1,4 @@
-"""Small weight files by hand: a decoder, a vehicle set, an experiment in the original DeepSDF layout."""
+"""Small handmade weight files: a decoder, a vehicle set, an experiment in the original DeepSDF layout."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _CODE = 4
 
 
 def _experiment_tensors(network: dict[str, Any]) -> dict[str, torch.Tensor]:
-    """The state of a model as the original code saves it: weight norm as pairs, under DataParallel's prefix."""
+    """Return a model's state as the original code saves it: weight norm as pairs, under DataParallel's prefix."""
     generator = torch.Generator().manual_seed(5)
     widths = [_CODE + 3, *network["dims"], 1]
     state = {}

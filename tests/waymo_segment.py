@@ -1,4 +1,4 @@
-"""Writes a segment of the Waymo Open Dataset, version 2, in its schema: five lasers, per-pixel poses, two returns."""
+"""Writer of a Waymo Open Dataset segment, version 2, in its schema: five lasers, per-pixel poses, two returns."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ MOUNTS = {  # x, y, z of each laser on the vehicle, metres, and its yaw
 SPEED_M_S, TURN_RAD_S = 12.0, 0.2
 BOX = (18.0, 3.0, 1.0, 4.6, 2.0, 1.7, 0.4)  # a vehicle, vehicle frame
 WIDE = pa.float64()
-WITH_TABLE = (1, 3)  # lasers whose beam inclinations are listed; of the others there are limits alone
+WITH_TABLE = (1, 3)  # lasers with a list of beam inclinations; the others have limits alone
 
 
 def matrix(yaw: float, xyz: tuple[float, float, float], pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
-    """(4, 4) Rz Ry Rx with a translation, one elementary rotation after the other."""
+    """Return (4, 4) Rz Ry Rx with a translation, one elementary rotation after the other."""
     c, s = np.cos, np.sin
     rz = np.array([[c(yaw), -s(yaw), 0], [s(yaw), c(yaw), 0], [0, 0, 1]])
     ry = np.array([[c(pitch), 0, s(pitch)], [0, 1, 0], [-s(pitch), 0, c(pitch)]])
@@ -39,7 +39,7 @@ def matrix(yaw: float, xyz: tuple[float, float, float], pitch: float = 0.0, roll
 
 
 def pose_at(time_s: float) -> tuple[float, float, float, float, float, float]:
-    """Roll, pitch, yaw, x, y, z of the vehicle in the global frame."""
+    """Return roll, pitch, yaw, x, y, z of the vehicle in the global frame."""
     yaw = 0.7 + TURN_RAD_S * time_s
     return 0.01, -0.02, yaw, 820.0 + SPEED_M_S * time_s * np.cos(0.7), -310.0 + SPEED_M_S * time_s * np.sin(0.7), 21.0
 
@@ -51,7 +51,7 @@ def global_SE3_vehicle(time_s: float) -> np.ndarray:
 
 @dataclass
 class Segment:
-    """What was written: images[frame, laser, return] (H, W, 4) float32, poses[frame] (H, W, 6) of the TOP laser."""
+    """The written data: images[frame, laser, return] (H, W, 4) float32, poses[frame] (H, W, 6) of the TOP laser."""
 
     images: dict[tuple[int, int, int], np.ndarray] = field(default_factory=dict)
     poses: dict[int, np.ndarray] = field(default_factory=dict)
@@ -130,7 +130,7 @@ def _write_frame(
         rows["lidar"].append({**_key(segment, timestamp, name), **images})
     height, width = SHAPES[1]
     poses = np.zeros((height, width, 6), np.float32)
-    for column in range(width):  # the vehicle where it was as the column fired, half a turn around the frame's time
+    for column in range(width):  # the vehicle at the column's firing time, half a turn around the frame's time
         poses[:, column] = pose_at(time_s + (column / width - 0.5) * 0.1)
     made.poses[frame] = poses.copy()
     if zero_rows:
@@ -212,7 +212,7 @@ def _schema(component: str, transforms: pa.DataType, laser_names: bool) -> pa.Sc
 
 
 def points_of(made: Segment, frame: int, laser: int, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, origins (vehicle frame, float64) and pixels of one image, pixel by pixel, by the chain of transforms."""
+    """Return points, origins (vehicle frame, float64) and pixels of an image, pixel by pixel, by the transforms."""
     image, extrinsic = made.images[frame, laser, number], made.extrinsics[laser]
     height, width = image.shape[:2]
     vehicle_SE3_global = np.linalg.inv(global_SE3_vehicle(frame * PERIOD * 1e-6))

@@ -1,11 +1,11 @@
-"""Renderings of attacks and whole tasks, by the working tree and by an earlier commit, in turns on one machine.
+"""Comparison of renderings and whole tasks between the working tree and an earlier commit, in turns on one machine.
 
 ``python docs/scripts/comparator.py COMMIT [steps=12] [turns=2] [tasks=true] [json=FILE]``
 
-Both versions render the same codes and poses with the same decoder, in processes of one thread: warm, ready for a
-gradient, as an attack does, and for shapes cold without a grid too. A hit is lost when it is missed or more than 1 cm
-off `reference`. Tasks are those of the default sweep in one street of `val`; each version places, searches and scores
-them as it does. An earlier version whose decoder differs is refused.
+Both versions render the same codes and poses with the same decoder, in processes of one thread. Renderings are warm and
+ready for a gradient, as in an attack; shapes are also rendered cold without a grid. A hit is lost when a version misses
+it or places it more than 1 cm off `reference`. Tasks are those of the default sweep in one street of `val`; each
+version places, searches and scores them in its own way. The script refuses an earlier version whose decoder differs.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ WRONG_SURFACE_M = 0.01
 
 @dataclass(frozen=True)
 class Frame:
-    """How a vehicle's sdf frame lies in its object frame, as every version asks for it."""
+    """Transform from a vehicle's object frame to its sdf frame, with the attributes that every version reads."""
 
     scale_m: float
     sdf_R_object: np.ndarray  # noqa: N815
@@ -52,7 +52,7 @@ class Frame:
 
 
 def record(folder: Path, steps: int) -> None:
-    """Attacks of the working tree: a file each, of the beams, the vehicle, every code and pose, and the true hits."""
+    """Record attacks of the working tree, one file each: beams, vehicle, every code and pose, and the true hits."""
     from recorded_attacks import Watched
 
     from shift3d.placement.sampling import NoPlacement
@@ -97,7 +97,7 @@ def record(folder: Path, steps: int) -> None:
 
 
 def replay(folder: Path, to: Path) -> None:
-    """Render every recorded attack with the version that Python finds: milliseconds, hits and those lost."""
+    """Render every recorded attack with the version that Python imports: milliseconds, hits and lost hits."""
     from shift3d.render.beams import Beams
     from shift3d.render.render import render
     from shift3d.sdf.decoder import load_decoder
@@ -119,7 +119,7 @@ def replay(folder: Path, to: Path) -> None:
                 code, theta = code.clone().requires_grad_(not of_pose), theta.clone().requires_grad_(of_pose)
                 start = time.perf_counter()
                 rendering = render(beams, decoder.field(code), theta, frame, warm=warm, **_with(render, grid))
-                if number:  # the first is cold in any case
+                if number:  # the first rendering is cold in any case
                     milliseconds.append(1e3 * (time.perf_counter() - start))
                 warm = rendering.warm if how == "warm" else None
                 off_m = (rendering.range_m.detach() - true_m).abs()
@@ -130,18 +130,18 @@ def replay(folder: Path, to: Path) -> None:
 
 
 def _with(render: Any, grid: object) -> dict[str, object]:
-    """The grid under the name that a version's `render` has for it."""
+    """Return the grid as a keyword argument, under the name that this version's `render` gives it."""
     return {list(inspect.signature(render).parameters)[-1]: grid}
 
 
 def _grid_type(render: Any) -> Any:
-    """The class of a version's grid, which the annotation of that parameter names."""
+    """Return the class of a version's grid, read from the annotation of `render`'s grid parameter."""
     annotation = str(list(inspect.signature(render).parameters.values())[-1].annotation)
     return getattr(inspect.getmodule(render), annotation.split()[0])
 
 
 def task_seconds(tree: Path, out: Path) -> list[float]:
-    """Seconds of every task of the default sweep as a version runs it."""
+    """Return the seconds of every task of the default sweep, run by the version in `tree`."""
     import pandas as pd
 
     _run(tree, "-m", "shift3d", "sweep", "default", *TASKS, f"out={out}")
@@ -155,7 +155,7 @@ def _run(tree: Path, *words: str) -> None:
 
 
 def earlier_tree(commit: str, folder: Path) -> Path:
-    """The files of a commit under a folder. Raises: SystemExit where its decoder is another one."""
+    """Extract the files of a commit into a folder. Raises: SystemExit if the commit's decoder differs."""
     archive = subprocess.run(["git", "archive", commit], cwd=HERE, check=True, capture_output=True).stdout
     with tarfile.open(fileobj=BytesIO(archive)) as tar:
         tar.extractall(folder, filter="data")
@@ -166,7 +166,7 @@ def earlier_tree(commit: str, folder: Path) -> Path:
 
 
 def figures(of: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[tuple[str, float, str]]:
-    """Name, value and unit. of: what `replay` found, by side, a turn each."""
+    """Yield name, value and unit of every figure. of: results of `replay` by side, one entry per turn."""
     for name, first in of["after"][0].items():
         medians: dict[str, list[float]] = {}
         for side, turns in of.items():

@@ -1,8 +1,8 @@
-"""How often the gate stops simulated releases, by the number of hard objects and the noise between two trainings.
+"""Share of simulated releases that the gate stops, by number of hard objects and noise between two trainings.
 
-``python docs/scripts/gate.py [json=FILE]`` prints and writes figures. A suite is hard objects and as many controls, two
-of each a scene; logits of the scores are normal, -0.5 +- 2 for hard objects and 2 +- 1.2 for controls. json: a file
-that the numbers are written to, with their commit and command.
+``python docs/scripts/gate.py [json=FILE]`` prints and writes figures. A suite has as many controls as hard objects, two
+of each per scene. Logits of the scores are normal: -0.5 +- 2 for hard objects, 2 +- 1.2 for controls. json: file for
+the numbers, with their commit and command.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NOISES = (0.0, 0.05, 0.1, 0.2, 0.4)
 
 
 def suite(objects: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], list[str]]:
-    """Scores, hard objects, and scenes of as many hard objects and as many controls."""
+    """Return scores, mask of hard objects, and scenes of a suite with as many controls as hard objects."""
     rng = generator("gate suite", objects)
     logits = np.concatenate((rng.normal(-0.5, 2.0, objects), rng.normal(2.0, 1.2, objects)))
     hard = np.repeat([True, False], objects)
@@ -33,7 +33,7 @@ def suite(objects: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], list[st
 
 
 def rates(objects: int, noise: float) -> SimulatedRates:
-    """Of simulated releases with the gate's own rule."""
+    """Return the share of simulated releases that the gate's own rule stops."""
     return stopped_releases(*suite(objects), noise, LOSS, ReleaseRule(), RELEASES)
 
 

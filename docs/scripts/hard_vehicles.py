@@ -1,7 +1,7 @@
-"""A picture of the adversarial shapes of finished sweeps, up to 50 at random.
+"""Picture of the adversarial shapes of finished sweeps, up to 50 at random.
 
 ``python docs/scripts/hard_vehicles.py PICTURE OUT ...``: PICTURE is a PNG, each OUT the folder of a sweep. Above each
-shape: the vehicle that it began as, the score before and after, and its percentile of naturalness.
+shape: its original vehicle, the score before and after, and its percentile of naturalness.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ PANELS, COLUMNS = 50, 10
 
 
 def draw(sweeps: list[Sweep], path: Path) -> None:
-    """The picture."""
+    """Draw the picture."""
     import matplotlib.pyplot as plt
     import numpy as np
 
@@ -43,7 +43,7 @@ def draw(sweeps: list[Sweep], path: Path) -> None:
 
 
 def found(sweep: Sweep) -> Iterator[dict[str, Any]]:
-    """Adversarial rows of the solutions, with what the attacked detector makes of them and of their baselines."""
+    """Yield adversarial rows of the solutions, with the attacked detector's scores of them and of their baselines."""
     scores = sweep.scores[sweep.scores["scored_by"] == sweep.scores["detector"]].set_index(["task_id", "method"])
     for row in sweep.solutions[sweep.solutions["method"] == "adversarial"].to_dict("records"):
         own = scores.loc[(row["task_id"], "adversarial")]

@@ -1,8 +1,8 @@
-"""What naturalness comes to: the wide family, the shipped decoder, and what is given, against the wide family.
+"""Naturalness of the wide family, the shipped decoder and given shapes, measured against the wide family.
 
-``python docs/scripts/naturalness.py [real=FOLDER ...] [OUT ...] [members=2000] [json=FILE]`` prints figures.
-real: folders of meshes in DeepSDF's axes, scaled to 4.5 m. OUT: folders of finished sweeps; their adversarial shapes
-are measured again from their codes. json: a file that they are written to.
+``python docs/scripts/naturalness.py [real=FOLDER ...] [OUT ...] [members=2000] [json=FILE]`` prints figures. real:
+folders of meshes in DeepSDF's axes, scaled to 4.5 m. OUT: folders of finished sweeps, whose adversarial shapes are
+measured again from their codes. json: file for the figures.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ COLUMNS = ("median", "95th percentile", "99th percentile", "at most")
 
 @dataclass(frozen=True)
 class Group:
-    """Measures of one kind of shapes. seconds: for one of them, in the median."""
+    """Measures of one kind of shapes. seconds: median time for one shape."""
 
     name: str
     found: list[NaturalnessMeasure]
     seconds: float
 
     def figures(self) -> Figures:
-        """Its numbers."""
+        """Return the figures of the group."""
         apart = [one.nearest.mean_cm for one in self.found if one.nearest]
         percentiles = [one.percentile for one in self.found]
         yield from _of(self.name, apart, percentiles)
@@ -77,7 +77,7 @@ def measured(name: str, shapes: Iterable[NaturalnessMeasure], total: int) -> Gro
 
 
 def decoder_groups(measures: NaturalnessMeter) -> list[Group]:
-    """The shipped baselines and the codes that the decoder was trained on."""
+    """Measure the shipped baselines and the codes that the decoder was trained on."""
     shipped = VehicleSet()
     decoder = shipped.decoder()
     sets = {
@@ -91,14 +91,14 @@ def decoder_groups(measures: NaturalnessMeter) -> list[Group]:
 
 
 def real_group(measures: NaturalnessMeter, folders: Sequence[str]) -> Group:
-    """Meshes of folders, each scaled to 4.5 m."""
+    """Measure the meshes of folders, each scaled to 4.5 m."""
     files = [file for folder in folders for file in find_meshes(folder)]
     shapes = (measures.of(REAL.to_object(read_mesh(file.path), str(file.path))) for file in files)
     return measured("real cars, scaled to 4.5 m", shapes, len(files))
 
 
 def sweep_groups(measures: NaturalnessMeter, outs: Sequence[str]) -> list[Group]:
-    """Adversarial shapes of finished sweeps, by lambda."""
+    """Measure the adversarial shapes of finished sweeps, by lambda."""
     shipped = VehicleSet()
     decoder = shipped.decoder()
     frames = [pd.read_parquet(Path(out) / "final" / "solutions.parquet") for out in outs]
@@ -116,7 +116,7 @@ def sweep_groups(measures: NaturalnessMeter, outs: Sequence[str]) -> list[Group]
 
 
 def left_out(measures: NaturalnessMeter) -> Figures:
-    """The calibration itself."""
+    """Return the figures of the calibration itself: members left out of the reference set."""
     known = measures.reference.calibration
     return _of(
         "members left out", known.mean_cm, [known.percentile(*pair) for pair in zip(known.mean_cm, known.p95_cm)]

@@ -1,8 +1,8 @@
-"""How near the shapes of a sweep come to real cars, beside the wide family that they are searched in.
+"""Distance of a sweep's shapes from real cars, compared with the wide family that the sweep searches in.
 
 ``python docs/scripts/near_real_cars.py OUT real=FOLDER [real=FOLDER ...] [members=200] [json=FILE]``: OUT is the folder
-of a finished sweep of shapes; the folders hold meshes in DeepSDF's axes. Every shape, real or not, is scaled to 4.5 m
-from nose to tail, as meshes of DeepSDF have no length of their own.
+of a finished sweep of shapes; the real folders hold meshes in DeepSDF's axes. Every shape, real or not, is scaled to
+4.5 m from nose to tail, because DeepSDF meshes have no length in metres.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Figures = Iterator[tuple[str, dict[str, Any]]]
 
 @dataclass(frozen=True)
 class RealCars:
-    """The meshes of several folders as one reference set, see `naturalness.sources.ReferenceSource`."""
+    """Reference set of the meshes of several folders, see `naturalness.sources.ReferenceSource`."""
 
     folders: tuple[str, ...]
 
@@ -45,29 +45,29 @@ class RealCars:
         return [MeshReference(folder, frame) for folder in self.folders]
 
     def identity(self) -> dict[str, Any]:
-        """What the set depends on."""
+        """Return everything that determines the set."""
         return {"kind": "folders", "parts": [part.identity() for part in self._parts()]}
 
     def members(self) -> Sequence[Build]:
-        """One function a member."""
+        """Return functions that build the members, one each."""
         return [build for part in self._parts() for build in part.members()]
 
 
 def distance_cm(reference: ReferenceSet, mesh: trimesh.Trimesh) -> float:
-    """Mean distance of a mesh, scaled to 4.5 m, from the nearest member, centimetres."""
+    """Compute the mean distance of a mesh, scaled to 4.5 m, from the nearest member, centimetres."""
     scaled = mesh.copy()
     scaled.apply_scale(LENGTH_M / float(np.ptp(scaled.vertices[:, 0])))
     return reference.nearest(surface_of_mesh(scaled)).mean_cm
 
 
 def family(reference: ReferenceSet, count: int) -> list[float]:
-    """Of members of the wide family, both sides of its split."""
+    """Compute the distances of members of the wide family, from both sides of its split."""
     builds = WideReference(count).members()
     return [distance_cm(reference, build()[1]) for build in tqdm(builds, desc="family", mininterval=5.0)]
 
 
 def solutions(reference: ReferenceSet, sweep: Sweep) -> dict[str, list[float]]:
-    """Of a sweep's shapes: space/method to distances, the same shape once."""
+    """Compute the distances of a sweep's shapes by space/method. Equal shapes count once."""
     loaded, found = PageCache(sweep.plan), dict[str, dict[bytes, float]]()
     rows = [row for row in sweep.solutions.to_dict("records") if row["method"] in METHODS and row["replicate"] == 0]
     for row in tqdm(rows, desc="solutions", mininterval=5.0):
@@ -81,7 +81,7 @@ def solutions(reference: ReferenceSet, sweep: Sweep) -> dict[str, list[float]]:
 
 
 def figures(name: str, found: Iterable[float], beside: Sequence[float] | None = None) -> Figures:
-    """Median and spread of a group; beside: a group whose median is taken from this one's, intervals by resampling."""
+    """Yield median and spread of a group. beside: group whose median is subtracted, with intervals by resampling."""
     apart = np.array(list(found))
     yield f"{name}/number", {"value": len(apart)}
     for column, share in {"median": 0.5, "95th percentile": 0.95}.items():

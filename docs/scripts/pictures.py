@@ -1,8 +1,8 @@
-"""The README's and the pages' pictures, drawn from what ships and from finished sweeps.
+"""Pictures of README and docs, drawn from shipped files and from finished sweeps.
 
-``python docs/scripts/pictures.py OUT ... [task=ID] [folder=FOLDER]``: OUTs are folders of sweeps before one detector,
-one of shapes and one of poses say; ID (the one whose score falls furthest, its shape natural) is what is shown; FOLDER
-(docs/pictures) gets the PNGs.
+``python docs/scripts/pictures.py OUT ... [task=ID] [folder=FOLDER]``: OUTs are folders of sweeps against one detector,
+for example one of shapes and one of poses. ID selects the task in the picture; the default is the task with a natural
+shape whose score falls furthest. FOLDER (docs/pictures) receives the PNGs.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def draw_family(path: Path, columns: int = 6) -> None:
-    """One vehicle of every body type and attribute of the wide family as built: seen ones blue, held-out ones red."""
+    """Draw one vehicle of every body type and attribute of the wide family: seen ones blue, held-out ones red."""
     from shift3d.vehicles.family.split import SPLIT
 
     sides = {"seen in training": SPLIT.seen, "held out": SPLIT.held_out}
@@ -65,15 +65,15 @@ _SHOWN_ON = {
     "dented": "sedan",
     "missing_panels": "sedan",
 }
-"""Body types that show an attribute well; of the others the first that carries it."""
+"""Body types that show an attribute well. Other attributes use the first body type that carries them."""
 _FROM_BEHIND = ("spare_wheel", "canopy", "tail_bicycles", "open_tailgate")
 _DRAW = {"dented": 20, "missing_panels": 12}
-"""Which draw is shown; of the others the first. Of damage, one on the side that the picture shows."""
+"""Number of the draw to show; the default is the first. For damage: a draw on the side that the picture shows."""
 _FROM_ABOVE = ("roof_rack", "ladder", "roof_rails", "roof_box")
 
 
 def _draw_kind(panel: Axes, name: str, rgb: tuple[float, float, float] | None) -> None:
-    """One vehicle of a body type, or one with an attribute."""
+    """Draw one vehicle of a body type, or one with an attribute."""
     from shift3d.seeding import generator
     from shift3d.vehicles.family.attributes import ATTRIBUTES
     from shift3d.vehicles.family.wide import build_wide_mesh, draw_wide
@@ -92,9 +92,9 @@ def _draw_kind(panel: Axes, name: str, rgb: tuple[float, float, float] | None) -
 
 
 def draw_random_codes(path: Path, count: int = 40, columns: int = 8) -> None:
-    """Codes drawn at random from the parametric decoder: a kind at random, its parameters at random in their ranges.
+    """Draw random codes of the parametric decoder: random kinds with random parameters in their ranges.
 
-    Below each, its distance to the nearest known vehicle and the percentile of it; red where it is not natural.
+    Below each: its distance from the nearest known vehicle and the percentile of that distance; red if not natural.
     """
     import torch
 
@@ -128,7 +128,7 @@ def draw_random_codes(path: Path, count: int = 40, columns: int = 8) -> None:
 
 
 def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.DataFrame, path: Path) -> None:
-    """One task before and after: the vehicle, and the points that the detector sees, with the score.
+    """Draw one task before and after: the vehicle, the points that the detector sees, and the score.
 
     solutions, scores: the task's rows, replicate 0.
     """
@@ -142,7 +142,7 @@ def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.Dat
         solution = solutions[solutions["method"] == method].iloc[0]
         score = float(scores[scores["method"] == method].iloc[0]["score"])
         mesh = vehicle_mesh(vehicle, assets.decoder, np.asarray(solution["latent_code"], np.float32), resolution=224)
-        # A shape from one side, a pose from where the sensor stands.
+        # A shape is drawn from one side, a pose from the sensor.
         azimuth = 0.9 if spec.mode == "shape" else _azimuth_of_sensor(solution)
         axes[row, 0].imshow(shaded(mesh, azimuth, 0.25, width_px=520, height_px=300, rgb=rgb))
         axes[row, 0].set_axis_off()
@@ -154,12 +154,12 @@ def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.Dat
 
 
 def _azimuth_of_sensor(solution: pd.Series) -> float:
-    """Direction of the sensor from the object, counter-clockwise from its nose, radians."""
+    """Return the direction from object to sensor, counter-clockwise from the nose, radians."""
     return float(np.arctan2(-solution["y_m"], -solution["x_m"]) - solution["yaw_rad"])
 
 
 def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> None:
-    """The rendered scene around the object from the sensor's height, the object's points in colour."""
+    """Draw the rendered scene around the object from the sensor's height, the object's points in colour."""
     from shift3d.task.follow_ups.rendered import render_solution
 
     found = render_solution(spec, solution.to_dict(), assets)
@@ -176,7 +176,7 @@ def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> 
 
 
 def _from_above(points: NDArray[np.float64], theta: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Perspective image (N, 2) and depth (N,) from behind the sensor's line of sight, a little above it."""
+    """Project points to a perspective image (N, 2) and depths (N,), from 11 m before the object and 4 m above it."""
     towards = theta[:2] / np.hypot(*theta[:2])
     eye = np.array([*(theta[:2] - 11.0 * towards), theta[2] + 4.0])
     forward = theta[:3] - eye
@@ -188,8 +188,7 @@ def _from_above(points: NDArray[np.float64], theta: NDArray[np.float64]) -> tupl
 
 
 def draw_training(path: Path) -> None:
-    """The losses of each detector whose training is on record beside its weights, over the crops of the last training
-    that was not of the heads alone."""
+    """Draw each detector's recorded losses, over the crops of its last training that was not of the heads alone."""
     import json
 
     from shift3d.detectors.models.weights import WEIGHTS_FOLDER
@@ -209,7 +208,7 @@ def draw_training(path: Path) -> None:
                 panel.plot(crops, losses, lw=1.2, color=f"C{number}", label=name.replace("_", ", "))
     for loss, panel in panels.items():
         panel.set_title(f"{loss} loss, training crops", fontsize=9)
-        panel.set_yscale("log")  # a heat map's loss and an anchor's differ by their units
+        panel.set_yscale("log")  # losses of heat maps and of anchors differ by their units
         panel.set_yticks(
             [tick for tick in (0.2, 0.3, 0.5, 0.7, 1, 2, 5) if panel.get_ylim()[0] < tick < panel.get_ylim()[1]]
         )
@@ -221,7 +220,7 @@ def draw_training(path: Path) -> None:
 
 
 def draw_effects(path: Path) -> None:
-    """What each effect is worth and takes, as `effects=auto` reads it."""
+    """Draw impact and cost of each effect, as `effects=auto` reads them."""
     from shift3d.analysis.figures.sweep import effects_figure
     from shift3d.effects.applicability import measured_impact
 
@@ -229,7 +228,7 @@ def draw_effects(path: Path) -> None:
 
 
 def _hardest_natural(scores: pd.DataFrame) -> str:
-    """Id of the task whose score fell furthest, of those whose shape is natural."""
+    """Return the id of the task whose score fell furthest, among tasks with a natural shape."""
     from shift3d.analysis.results import natural_by_task
 
     first = scores[scores["replicate"] == 0]
@@ -265,7 +264,7 @@ def main(arguments: list[str]) -> None:
         name: pd.concat([pd.read_parquet(out / "final" / f"{name}.parquet") for out in outs], ignore_index=True)
         for name in ("scores", "solutions", "auc")
     }
-    # What the attacked detector says; others may have scored the same objects.
+    # The scores of the attacked detector; other detectors may have scored the same objects.
     for name in ("scores", "auc"):
         tables[name] = tables[name][tables[name]["scored_by"] == tables[name]["detector"]]
     shown = given.get("task") or _hardest_natural(tables["scores"])

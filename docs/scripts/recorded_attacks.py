@@ -1,12 +1,12 @@
-"""Hits that the renderer loses in attacks, at every step, against `reference` at the same code and pose.
+"""Hits that the renderer loses in attacks at every step, against `reference` at the same code and pose.
 
 ``python docs/scripts/recorded_attacks.py [workers=N] [json=FILE] [of=TEXT] [SETTING=VALUE ...]``
 
-The attacks are the tasks of the default sweep in one street of split `val`, 40 steps, lambda 1; settings change it.
-What is looked at are the attack's own renderings, warm from the step before. A hit is lost when it is missed or more
-than 1 cm off. Every tenth step the loss's gradient is compared too, with the float32 detector: as it is, and with
-`reference`'s gradient at the points walked back through both renderings, so that the renderers alone differ.
-json: a file that the figures are written to. of: what stands before the names of attacks. workers: processes.
+The attacks are the tasks of the default sweep in one street of split `val`, 40 steps, lambda 1; settings change it. The
+script checks the attack's own renderings, each warm from the step before. A hit is lost when it is missed or more than
+1 cm off. Every tenth step the script also compares the loss's gradient, with the float32 detector: once as it is, and
+once with the gradient at `reference`'s points propagated back through both renderings, so that only the renderers
+differ. json: file for the figures. of: prefix for the names of attacks. workers: number of processes.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ See = Callable[[Tensor, Tensor, WarmStart | None, Rendering], None]
 
 @dataclass(frozen=True)
 class Watched(AttackProblem):
-    """A problem that shows every rendering, with the code (d,), the pose (6,) and the start that it is of."""
+    """Attack problem that reports every rendering with its code (d,), its pose (6,) and its warm start."""
 
     see: See | None = None
 
@@ -65,7 +65,7 @@ class Watched(AttackProblem):
 
 @dataclass
 class Found:
-    """What came of an attack: hits of all steps, those lost, of these with chords of 2 cm or more, and the rest."""
+    """Counts of an attack: hits of all steps, lost hits, lost hits with chords of 2 cm or more, and other errors."""
 
     name: str
     hits: int = 0
@@ -77,12 +77,12 @@ class Found:
     renderer_cosines: tuple[float, ...] = ()
 
     def __add__(self, other: Found) -> Found:
-        """Both together, under this one's name."""
+        """Return the sum of both counts, under the name of this one."""
         parts = {part.name: getattr(self, part.name) + getattr(other, part.name) for part in fields(self)[1:]}
         return Found(self.name, **parts)
 
     def hold(self, true: AttackProblem, code: Tensor, theta: Tensor, rendering: Rendering) -> None:
-        """Count what a rendering gets wrong. true: renders the truth. code: (d,) of its dtype. theta: (6,)."""
+        """Count errors of a rendering. true: problem of the true one. code: (d,) in `true`'s dtype. theta: (6,)."""
         truth = render(true.beams, true.field_of(code), theta, true.vehicle, true.settings)
         depth_m = (rendering.range_m - truth.range_m).abs()
         lost = truth.hit_mask & ~(rendering.hit_mask & (depth_m <= WRONG_SURFACE_M))
@@ -96,7 +96,7 @@ class Found:
 
 
 def attacked(plan: Plan, index: int) -> Found | None:
-    """The attack of one task, every rendering held against the reference. None where the vehicle finds no place."""
+    """Run the attack of one task and compare every rendering with the reference. None if the vehicle finds no place."""
     configure_runtime(1)
     task = plan.tasks[index]
     spec, assets = task.spec, load_assets(plan.assets[task.assets])
@@ -128,7 +128,7 @@ def attacked(plan: Plan, index: int) -> Found | None:
 def _cosines(
     problem: AttackProblem, true: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart | None, mode: str
 ) -> tuple[float, float]:
-    """Of the loss's gradient with respect to what the attack moves: as it is, and of the renderer alone."""
+    """Return the cosine of the loss's gradient by the attack's variables: as it is, and of the renderer alone."""
     of_code, of_pose = mode != "pose", mode != "shape"
     step = partial(attack_step, radius_m=ATTACK_RADIUS_M, of_code=of_code, of_pose=of_pose)
     truth = step(true, code.to(REFERENCE.dtype), theta)
@@ -142,7 +142,7 @@ def _cosines(
 
 
 def figures(every: Sequence[Found], of: str) -> dict[str, dict[str, object]]:
-    """By attack, and together."""
+    """Return the figures of each attack, and of all attacks together."""
     named: dict[str, dict[str, object]] = {}
     for one in (*every, sum(every, Found("together"))):
         depth_mm = 1e3 * torch.tensor(one.depth_m or (math.nan,), dtype=torch.float64)

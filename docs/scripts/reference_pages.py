@@ -1,6 +1,6 @@
 """Writes docs/reference: settings, tables and commands, from the code and the configuration.
 
-``python docs/scripts/reference_pages.py`` writes the pages; a test fails where they are not what it would write.
+``python docs/scripts/reference_pages.py`` writes the pages; a test fails if the stored pages differ from its output.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _SETTING = re.compile(r"^(?P<indent> *)(?P<key>[\w]+):(?: (?P<value>[^#]*?))?(?:
 
 
 def pages() -> dict[Path, str]:
-    """Every page and its content."""
+    """Return every page and its content."""
     return {
         FOLDER / "settings.md": MADE + settings_page(),
         FOLDER / "tables.md": MADE + tables_page(),
@@ -50,7 +50,7 @@ def pages() -> dict[Path, str]:
 
 
 def settings_page() -> str:
-    """Every setting of conf/, group by group."""
+    """Return the page of all settings in conf/, group by group."""
     lines = [
         "# Settings",
         "",
@@ -92,13 +92,13 @@ def _options(group: str) -> list[Path]:
     files = sorted(file for file in (CONF / group).glob("*.yaml") if not file.stem.startswith("_"))
     if group != "vehicle":
         return files
-    # The vehicles that ship differ in their name alone: the first one stands for all.
+    # The shipped vehicles differ in their name alone: the page shows the first one.
     shipped = [file for file in files if "kind: set" in file.read_text() and file.stem != "set"]
     return [file for file in files if file not in shipped[1:]]
 
 
 def _lead(file: Path) -> list[str]:
-    """The comment at the head of a file."""
+    """Return the comment at the head of a file."""
     found = []
     for line in file.read_text(encoding="utf-8").splitlines():
         if not line.startswith("#"):
@@ -109,7 +109,7 @@ def _lead(file: Path) -> list[str]:
 
 
 def _settings(file: Path) -> Iterator[tuple[str, str, str]]:
-    """(name, value, meaning) of each setting of a file; comment lines right above one come before its own."""
+    """Yield (name, value, meaning) of each setting of a file; comment lines above a setting precede its own comment."""
     path: list[str] = []
     above: list[str] = []
     text = file.read_text(encoding="utf-8").splitlines()[len(_lead(file)) :]
@@ -142,7 +142,7 @@ def _cell(text: str) -> str:
 
 
 def _render_table() -> list[str]:
-    """The renderer's settings: the meaning from their docstring, the value from each preset."""
+    """Return the renderer's settings: meanings from their docstring, values from each preset."""
     meanings = render_meanings()
     head = ["| `accuracy.render.` | " + " | ".join(f"`{name}`" for name in PRESETS) + " | meaning |"]
     head.append("|---" * (len(PRESETS) + 2) + "|")
@@ -153,7 +153,7 @@ def _render_table() -> list[str]:
 
 
 def render_meanings() -> dict[str, str]:
-    """The paragraphs of `RenderSettings`'s docstring, by setting."""
+    """Return the paragraphs of `RenderSettings`'s docstring, by setting."""
     text = inspect.getdoc(RenderSettings) or ""
     found: dict[str, str] = {}
     for part in re.split(r"\n    (?=[a-z_0-9, ]+: )", text.partition("Attributes:")[2]):
@@ -164,7 +164,7 @@ def render_meanings() -> dict[str, str]:
 
 
 def tables_page() -> str:
-    """Every table of a sweep's folder, column by column."""
+    """Return the page of all tables in a sweep's folder, column by column."""
     lines = [
         "# Tables",
         "",
@@ -194,14 +194,14 @@ def _type(kind: pa.DataType) -> str:
 
 
 def commands_page() -> str:
-    """Every command with its help, and the exit codes."""
+    """Return the page of all commands with their help, and the exit codes."""
     lines = ["# Commands", "", "`make help` lists the targets of the Makefile, which call these.", ""]
     lines += ["| command | what it does |", "|---|---|"]
     lines += [f"| [`shift3d {c.name}`](#shift3d-{c.name}) | {_cell(c.summary)} |" for c in COMMANDS]
     lines += ["", "## Exit codes", "", "| code | meaning |", "|---|---|"]
     lines += [f"| {int(code)} | {meaning} |" for code, meaning in EXIT_CODES.items()]
     lines.append("\n`make` itself ends with 2 where a command ends with another code than 0.")
-    os.environ["COLUMNS"] = "110"  # the width that argparse wraps to
+    os.environ["COLUMNS"] = "110"  # the width to which argparse wraps
     parsers = _parsers(make_parser())
     for command in COMMANDS:
         lines += ["", f"## shift3d {command.name}", "", "```text", parsers[command.name].format_help().rstrip(), "```"]

@@ -1,8 +1,8 @@
-"""The measured numbers that ship, written again.
+"""Writes the shipped files of measured numbers again.
 
-``python docs/scripts/shipped.py presets FOLDER``: the presets' rows of the frontier measured in FOLDER.
-``python docs/scripts/shipped.py task_parts MACHINE OUT ...``: what the parts of a task take, from finished sweeps of
-one accuracy preset; MACHINE says in words what they ran on.
+``python docs/scripts/shipped.py presets FOLDER``: rows of the presets, from the frontier measured in FOLDER.
+``python docs/scripts/shipped.py task_parts MACHINE OUT ...``: times of the parts of a task, from finished sweeps of one
+accuracy preset; MACHINE describes their machine in words.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _SCORED_BY = "scored_by_"
 
 
 def measured_parts(scores: pd.DataFrame, timings: pd.DataFrame, source: str) -> TaskPartTimes:
-    """From the tables of finished sweeps, one below the other; source: how to call them.
+    """Compute part times from the tables of finished sweeps, concatenated. source: name of these sweeps.
 
     Raises:
-        InputError: they are of several accuracy presets.
+        InputError: the sweeps have several accuracy presets.
     """
     whose = scores.drop_duplicates("task_id")[["task_id", "mode", "detector", "accuracy"]]
     rows = timings.merge(whose, on="task_id")
@@ -60,7 +60,7 @@ def measured_parts(scores: pd.DataFrame, timings: pd.DataFrame, source: str) -> 
 
 
 def _mean(rows: pd.DataFrame, by: str, calls: dict[str, int] | None = None) -> dict[str, float]:
-    """Milliseconds a call of all stages together: each stage's mean, added up."""
+    """Return milliseconds per call of all stages together: the sum of each stage's mean."""
     found = {}
     for name, some in rows.groupby(by):
         stages = some.groupby("stage")[["milliseconds", "calls"]].sum()
@@ -70,7 +70,7 @@ def _mean(rows: pd.DataFrame, by: str, calls: dict[str, int] | None = None) -> d
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write the numbers that the first argument names from the folders that follow it."""
+    """Write the numbers that the first argument names, from the folders that follow it."""
     match list(arguments):
         case ["presets", folder]:
             rows = read_frontier(Path(folder) / "frontier.parquet").to_pandas()

@@ -1,4 +1,4 @@
-"""Lines of the package by what they hold: ``python docs/scripts/size.py``."""
+"""Line counts of the package by content: ``python docs/scripts/size.py``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "shift3d"
 
 
 def lines_of(text: str) -> Counter[str]:
-    """Count a file's lines that are blank, or hold docstrings, comments, imports or code."""
+    """Count a file's lines: blank, docstrings, comments, imports and code."""
     kinds = [
         "blank" if not line.strip() else "comments" if line.lstrip()[0] == "#" else "code" for line in text.splitlines()
     ]

@@ -1,4 +1,4 @@
-"""What a finished sweep measured, as figures: AUCs with intervals, and every number of the tables that it prints.
+"""Figures of a finished sweep: AUCs with intervals, and every number of the tables that it prints.
 
 ``python docs/scripts/sweep_figures.py OUT [json=FILE]``: OUT is the sweep's folder. An AUC is named
 VARIANT/METHOD/VEHICLE, with mean and "of baseline" after the vehicles; a table's number TABLE/LINE/COLUMN.
@@ -36,12 +36,12 @@ __all__ = ["sweep_figures"]
 
 _STEPS = (0, 1, 2, 5, 10, 20, 40)
 _OBJECT = ["vehicle", "scored_by", "place"]
-_OFTEN = 5  # scores that a cell needs to be sure of
+_OFTEN = 5  # scores that a cell needs for a reliable mean
 Figures = Iterator[tuple[str, dict[str, Any]]]
 
 
 def sweep_figures(sweep: Sweep) -> dict[str, dict[str, Any]]:
-    """Name to value, unit, interval, n."""
+    """Return name to value, unit, interval, n."""
     found = dict(_size(sweep))
     parts = variants(sweep.auc, sweep.scored)
     for variant in parts:
@@ -64,7 +64,7 @@ def _one(
 
 
 def _within(value: float, between: Interval | None, unit: str, n: int | None = None) -> dict[str, Any]:
-    """An interval that is a point or infinite says nothing."""
+    """Return value and interval as a figure, without an interval that is a point or infinite."""
     known = between is not None and 0 < between.high - between.low < float("inf")
     return _one(value, unit, (between.low, between.high) if between and known else None, n)
 
@@ -96,7 +96,7 @@ def _aucs(variant: Variant) -> Figures:
 
 
 def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
-    """Of sweeps with as many random draws: how far the search is below them, natural shapes, and their kinds."""
+    """Compare a search with as many random draws: difference of scores, share of natural shapes, and their kinds."""
     below = paired(variant.rows, "adversarial", "random_budget")
     if below is None:
         return
@@ -104,11 +104,11 @@ def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
         f"{variant.title}/adversarial/less random draws",
         _within(below.interval.mean, below.interval, "AUC", below.tasks),
     )
-    if not variant.scores_itself:  # the same shapes
+    if not variant.scores_itself:  # both methods have the same shapes
         return
     tasks = variant.rows["task_id"].unique()
     for method in ("adversarial", "random_budget"):
-        # Each method's own shape: `natural` of the variant's rows is the adversarial one's.
+        # Each method needs its own shape's naturalness: `natural` of the variant's rows is the adversarial shape's.
         rows = sweep.scores[sweep.scores["task_id"].isin(tasks) & (sweep.scores["method"] == method)]
         rows = rows[(rows["scored_by"] == variant.scored_by) & rows["score"].notna()]
         yield f"{variant.title}/{method}/natural", _one(int(rows["natural"].eq(True).sum()), n=len(rows))
@@ -118,8 +118,10 @@ def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
 
 
 def _descent(sweep: Sweep, variant: Variant) -> Figures:
-    """Whether the loss falls along the steps of a search that follows one: its mean over the last quarter less that
-    over the first, task by task. Draws for a start are no steps of it."""
+    """Return by how much a descent lowers the loss: mean of its last quarter of steps minus that of its first.
+
+    Differences are taken task by task. Random draws for a start are not steps.
+    """
     rows = searched(sweep, variant) if variant.scores_itself else sweep.trajectories.iloc[:0]
     if rows.empty:
         return
@@ -165,7 +167,7 @@ def _path(sweep: Sweep, variant: Variant) -> Figures:
 def _effects(sweep: Sweep) -> Figures:
     try:
         impacts = effect_impacts(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
-    except InputError:  # not a sweep with and without effects
+    except InputError:  # the sweep does not compare scenes with and without effects
         return
     for impact in impacts:
         changes = {"change": impact.score_change, "AUC, adversarial": impact.auc_adversarial}
@@ -175,7 +177,7 @@ def _effects(sweep: Sweep) -> Figures:
 
 
 def _rules(sweep: Sweep) -> Figures:
-    """Of a sweep made for them: by how much the score is lower where a rule holds, by group of objects."""
+    """Return, for a sweep made for failure rules, how much lower the score is under a rule, by object group."""
     if sweep.plan.sweep != "failure_rules":
         return
     objects = rule_objects(sweep)
@@ -191,7 +193,7 @@ def _rules(sweep: Sweep) -> Figures:
 
 
 def _edits(sweep: Sweep) -> Figures:
-    """Of a sweep over two values of `attack.edit`: size and mean score at both, and how the score changes."""
+    """Return size and mean score at both values of `attack.edit`, and the change of the score between them."""
     rows = sweep.scored[sweep.scored["method"] == "edited"]
     edits = list(dict.fromkeys(rows["search"]))
     if len(edits) != 2:
@@ -209,7 +211,7 @@ def _edits(sweep: Sweep) -> Figures:
 
 
 def _verified(sweep: Sweep) -> Figures:
-    """What came of the solutions when they were scored again, by the detector that was attacked."""
+    """Count the outcomes of solutions that the attacked detector scored again."""
     if sweep.verification is None:
         return
     every, scores = sweep.verification, sweep.scores
@@ -227,7 +229,7 @@ def _verified(sweep: Sweep) -> Figures:
 
 
 def _numbers(title: str, table: Table | None, named_by: int = 1) -> Figures:
-    """Cells that begin with a number. "[a, b]" is an interval. named_by: the columns that name a line."""
+    """Yield cells that begin with a number. "[a, b]" is an interval. named_by: number of columns that name a line."""
     for line in table.lines if table else ():
         for column, cell in zip(table.header[named_by:] if table else (), line[named_by:]):
             text = cell if isinstance(cell, str) else " ".join(cell)

@@ -1,4 +1,4 @@
-"""Floating-point operations: how many a step needs, and how many a second this processor does at best."""
+"""Floating-point operations: how many a step needs, and how many per second this processor reaches at best."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _SIZES = (256, 512, 1024, 2048)
 
 
 def gemm_peak_gflops(dtype: torch.dtype, budget_s: float) -> tuple[float, int]:
-    """Most GFLOP/s that a square matrix product reached, by the library that the decoder uses here, and its size.
+    """Measure the most GFLOP/s that a square matrix product reaches, and its size. One multiply-add is two operations.
 
-    One multiply-add is two operations.
+    The library is the one that the decoder uses on this machine.
     """
     best = (0.0, 0)
     for size in _SIZES:
@@ -44,12 +44,12 @@ def gemm_peak_gflops(dtype: torch.dtype, budget_s: float) -> tuple[float, int]:
 
 
 def _affine_flops(x: tuple[int, ...], weight: tuple[int, ...], *_: object, **__: object) -> int:
-    """Of a product that oneDNN makes, which torch does not know how to count: from the shapes of its operands."""
+    """Count operations of a product by oneDNN, which torch cannot count, from the shapes of its operands."""
     return 2 * x[0] * weight[0] * weight[1]
 
 
 def counted(call: Callable[[], object]) -> int:
-    """Operations of the matrix products and convolutions in a call, as torch counts them."""
+    """Count operations of the matrix products and convolutions in a call, as torch counts them."""
     mapping = {torch.ops.mkldnn._linear_pointwise: _affine_flops}
     with FlopCounterMode(display=False, custom_mapping=mapping) as counter:
         call()
@@ -57,7 +57,7 @@ def counted(call: Callable[[], object]) -> int:
 
 
 def decoder_pass(problem: AttackProblem, points: int, gradient: bool = False) -> Callable[[], object]:
-    """The decoder at so many points of the vehicle, with or without the way back to them."""
+    """Return a call of the decoder at `points` points of the vehicle, with or without the backward pass to them."""
     field = problem.field_of(problem.code0)
     x = torch.rand(points, 3, generator=torch.Generator().manual_seed(0)).to(problem.settings.dtype) - 0.5
 
@@ -71,17 +71,17 @@ def decoder_pass(problem: AttackProblem, points: int, gradient: bool = False) ->
 
 
 def evaluation_flops(problem: AttackProblem) -> float:
-    """Operations of one evaluation of the decoder."""
+    """Return the operations of one evaluation of the decoder."""
     return counted(decoder_pass(problem, 1000)) / 1000
 
 
 def gradient_flops(problem: AttackProblem) -> float:
-    """Operations of the decoder forward and back to one point, which the derivative at a hit needs at least."""
+    """Return the operations of the decoder forward and backward for one point, which a hit's derivative needs."""
     return counted(decoder_pass(problem, 1000, gradient=True)) / 1000
 
 
 def detector_pass(problem: AttackProblem, rendering: Rendering, whole_scene: bool = False) -> Callable[[], object]:
-    """The detector forward, the loss, and back to the points: in the window of an attack, or everywhere."""
+    """Return a call of detector, loss and backward pass to the points: in an attack's window, or everywhere."""
     theta = problem.theta0
     points = to_network_frame(rendering.points.detach(), problem.ground_z_m)
     window = None if whole_scene else window_around(problem.detector, theta, ATTACK_RADIUS_M)

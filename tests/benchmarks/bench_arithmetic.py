@@ -1,4 +1,4 @@
-"""How much of what the processor can do decoder and detector make use of."""
+"""Share of the processor's peak that decoder and detector reach."""
 
 from __future__ import annotations
 

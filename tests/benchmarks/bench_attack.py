@@ -1,4 +1,4 @@
-"""A step of the attack against the published way, and against what the processor could do at best."""
+"""A step of the attack, against the published method and against the best that the processor could do."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from benchmarks.world import World
 
 @pytest.fixture(scope="module")
 def published(world: World, loops: AttackLoops) -> dict[str, Timing]:
-    """Stages of the published step. Attacks ran before it and run again after it: the machine's drift is in both."""
+    """Times of the published step's stages. Attacks run before and after it: both include the machine's drift."""
     stages = published_step(world.problem(world.counterpart_scene, accuracy="paper"))
     loops.run()
     return {stage: Timing.of([value]) for stage, value in stages.items()}
@@ -45,9 +45,9 @@ def bench_attack_step(bench: Results, loops: AttackLoops, published: dict[str, T
 
 @dataclass(frozen=True)
 class Work:
-    """What a step has to compute, in operations, and how many of them a second there can be.
+    """Operations that a step must compute, and the most operations per second.
 
-    forward, gradient: of one point in the decoder. detector: of its window, forward and back.
+    forward, gradient: of one point in the decoder. detector: of its window, forward and backward.
     """
 
     forward: float
@@ -57,12 +57,12 @@ class Work:
     detector_peak_gflops: float
 
     def limit_ms(self, evaluations: float, hits: float) -> float:
-        """The least time of a step."""
+        """Return the least possible time of a step."""
         decoder = evaluations * self.forward + hits * self.gradient
         return 1e-6 * (decoder / self.peak_gflops + self.detector / self.detector_peak_gflops)
 
     def sum(self, evaluations: float, hits: float) -> str:
-        """The same as a sum, for a note."""
+        """Return the same time as a sum in words, for a note."""
         return (
             f"({evaluations:.0f} evaluations x {1e-6 * self.forward:.2f} + {hits:.0f} hits x "
             f"{1e-6 * self.gradient:.2f} MFLOP) / {self.peak_gflops:.0f} GFLOP/s + detector "
@@ -72,7 +72,7 @@ class Work:
 
 @pytest.fixture(scope="module")
 def work(loops: AttackLoops, peak_gflops: dict[torch.dtype, float]) -> Work:
-    """Counted and measured on the problem of the attacks."""
+    """Work of a step, counted and measured on the problem of the attacks."""
     problem = loops.problem
     rendering = cold_rendering(problem)
     peak = peak_gflops[torch.float32]
@@ -84,7 +84,7 @@ def work(loops: AttackLoops, peak_gflops: dict[torch.dtype, float]) -> Work:
 
 @pytest.mark.parametrize("least", [False, True], ids=["made", "least"])
 def bench_limit(bench: Results, loops: AttackLoops, work: Work, least: bool) -> None:
-    """The evaluations that a step's constraints need are not in the limit."""
+    """Add the limit records. The limit leaves out the evaluations that a step's constraints need."""
     found = {}
     for mode, loop in loops.loops.items():
         evaluations = loop.hits if least else loop.evaluations

@@ -1,4 +1,4 @@
-"""What each effect adds to a rendering: one object in one street, without and with one at a time, in turns."""
+"""Time that each effect adds to a rendering: one object in one street, with and without an effect, in turns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shift3d.task.exchange import AssetsSpec
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.spec import TaskSpec
 
-# What sweeps/effects.yaml runs on.
+# The scene set of sweeps/effects.yaml.
 STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1, "sensor_model": True}
 STREET |= {"range_image": True, "returns": 2, "ego_speed_m_s": 15.0, "motion_compensated": True}
 STATED = {"visibility_m": 50.0, "rain_mm_h": 50.0, "snow_mm_h": 2.5, "object_speed_m_s": 10.0}
@@ -40,7 +40,7 @@ def bench_effects(bench: Results, quick: bool) -> None:
         for effect, problem in problems.items():
             start = time.perf_counter()
             rendering = problem.insert(problem.code0, placement.theta)
-            if turn:  # the first of each makes what is kept
+            if turn:  # the first round fills the caches
                 spent[effect].append(1e3 * (time.perf_counter() - start))
             hits = rendering.object_points if not effect else hits
     alone = Timing.of(spent[""])

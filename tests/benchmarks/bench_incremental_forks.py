@@ -1,4 +1,4 @@
-"""A detector that follows the scene through an attack, against the same one asked for its whole window each step."""
+"""Incremental inference through an attack, against the same detector that evaluates its whole window each step."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shift3d.detectors.base import BevWindow, Detections, Detector, Proposals
 
 @dataclass(frozen=True)
 class _Unfollowed:
-    """A detector that offers no incremental inference of its own: the plain reference."""
+    """Detector without incremental inference: the plain reference."""
 
     detector: Detector
     name: str
@@ -61,5 +61,5 @@ def bench_incremental_forks(bench: Results, world: World, quick: bool, name: str
 
 
 def _detector(loop: Loop) -> Timing:
-    """Forward and back; the way back through the renderer, a tenth of it, is in both."""
+    """Return detector time, forward and backward; both loops include the renderer's backward pass, a tenth of it."""
     return Timing.of([r.milliseconds["detector"] + r.milliseconds["backward"] for r in loop.records])

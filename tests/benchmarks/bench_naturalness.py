@@ -1,4 +1,4 @@
-"""What naturalness costs, how often its prefilter misses the nearest member, and what its points are off by."""
+"""Cost of naturalness, how often its prefilter misses the nearest member, and the error of its point samples."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bench_first_build(bench: Results) -> None:
 
 
 def bench_prefilter(bench: Results, reference: ReferenceSet, quick: bool) -> None:
-    """Against brute force: how often the nearest member is missed, and how much farther the one that is found lies."""
+    """Measure against brute force how often the nearest member is missed, and how much farther the found member is."""
     numbers = np.linspace(0, len(reference) - 1, 20 if quick else 15).astype(int)
     costs_mm, seconds = [], [0.0, 0.0]
     for number in numbers.tolist():
@@ -48,7 +48,7 @@ def bench_prefilter(bench: Results, reference: ReferenceSet, quick: bool) -> Non
 
 
 def bench_a_code(bench: Results, reference: ReferenceSet) -> None:
-    """Decoding and comparing the shipped vehicles and random codes about them."""
+    """Time decoding and comparing the shipped vehicles and random codes about them."""
     source, measures, rng = VehicleSet(), NaturalnessMeter(reference), np.random.default_rng(0)
     decoder, whole, decoding = source.decoder(), [], []
     for name in source.names() * 2:

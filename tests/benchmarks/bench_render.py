@@ -1,4 +1,4 @@
-"""The renderer against its plain reference, and what a rendering costs by range and by hits."""
+"""The renderer against its plain reference, and the cost of a rendering by range and by hits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def bench_render_cold(bench: Results, world: World, quick: bool) -> None:
     standard = world.problem(world.counterpart_scene)
     paper = world.problem(world.counterpart_scene, accuracy="paper")
     grid = world.sdf_grid(standard)
-    found = cold_rendering(standard, grid)  # also the warm-up
+    found = cold_rendering(standard, grid)  # this call is also the warm-up
     calls = {
         "mapped": (functools.partial(cold_rendering, standard, grid), 2 if quick else 10),
         "paper": (functools.partial(cold_rendering, paper), 1),
@@ -36,7 +36,7 @@ def bench_render_cold(bench: Results, world: World, quick: bool) -> None:
 
 @pytest.fixture(scope="module")
 def cold_by_range(bench: Results, world: World, quick: bool) -> list[tuple[int, float]]:
-    """(hits, milliseconds) at every range that has a place for the vehicle, and their records."""
+    """(hits, milliseconds) at every range that has a place for the vehicle; also adds their records."""
     found, grid = [], world.sdf_grid(world.problem())
     for range_m in RANGES_M[::4] if quick else RANGES_M:
         if (place := world.place_at(range_m)) is None:

@@ -1,4 +1,4 @@
-"""What beams cost that never come near the object."""
+"""Cost of beams that pass far from the object."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ ELSEWHERE = "the scene's beams and so many times as many, none of the new ones w
 
 
 class Sized:
-    """The attack in a scene of some size, and what was timed in it."""
+    """The attack in a scene of one size, with its times."""
 
     def __init__(self, problem: AttackProblem, steps: int) -> None:
         self.attacks = AttackLoops(problem, steps, modes=("shape",))
         self.cold_ms: list[float] = []
 
     def measure(self, grid: SdfGrid, renderings: int) -> None:
-        """One more attack and some more renderings from nothing."""
+        """Time one more attack and more cold renderings."""
         self.attacks.run()
         cold = functools.partial(cold_rendering, self.attacks.problem, grid)
         self.cold_ms += [milliseconds(cold) for _ in range(renderings)]
 
     def timings(self) -> dict[str, Timing]:
-        """By what is timed."""
+        """Return the times by their names."""
         loop = self.attacks.loops["shape"]
         return {"attack_step": loop.step, "render_warm": loop.render, "render_cold": Timing.of(self.cold_ms)}
 
 
 @pytest.fixture(scope="module")
 def by_size(world: World, quick: bool) -> dict[int, Sized]:
-    """Every size of the scene, measured in turns."""
+    """Times of every scene size, measured in turns."""
     sized = {}
     scene = world.scenes.load(world.scene)
     for factor in (1, 8) if quick else (1, 2, 4, 8):

@@ -1,4 +1,4 @@
-"""The sweep service: what it adds to a task, beside what a user would run instead, and how it scales."""
+"""Cost per task of the sweep service, compared with the alternatives of a user, and its scaling."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def sweep(kind: str, name: str, workers: int, *overrides: str, folder: Path) -> 
 
 
 def bare(processes: int, name: str, *overrides: str, folder: Path) -> float:
-    """Real tasks a second of processes side by side that know nothing of each other, each with all the tasks."""
+    """Measure tasks per second of independent processes side by side, each with all the tasks."""
     with ThreadPoolExecutor(processes) as pool:
         found = list(pool.map(lambda _: sweep("REAL", name, 0, *overrides, folder=folder), range(processes)))
     return float(sum(one["tasks_a_second"] for one in found))
@@ -35,7 +35,7 @@ def other(name: str, jobs: int, folder: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def overhead_us(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory) -> float:
-    """What the service takes a no-op task, measured once for all that refer to it."""
+    """The service's time per no-op task, measured once for all benchmarks that refer to it."""
     count = 2_000 if quick else 100_000
     found = sweep("NOOP", "default", 2, *GRID, f"scenes.count={count}", folder=tmp_path_factory.mktemp("noop"))
     value = 1e6 * found["seconds"] / found["tasks"]
@@ -71,9 +71,9 @@ def bench_overhead_beside_ray_tune(bench: Results, overhead_us: float, quick: bo
 
 @pytest.fixture(scope="module")
 def task_s(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory) -> float:
-    """Seconds of a real task on one worker, and how two workers do beside one."""
-    # The default sweep's own tasks, of 40 steps: beside the smoke sweep's, of a few, a worker's first one, in which
-    # libraries are loaded and code is made, weighs more than in any sweep that people run.
+    """Seconds per real task on one worker; also measures two workers beside one."""
+    # The default sweep's tasks have 40 steps. The smoke sweep's have a few, so that a worker's first task, which loads
+    # libraries and generates code, would weigh more than in any real sweep.
     name, turns, scenes = ("smoke", 1, 2) if quick else ("default", 3, 6)
     words = ("mode=shape,pose", "vehicle=coupe") if quick else ("vehicle=coupe,suv", "attack.lambda=1")
     found = in_own_process(
@@ -86,7 +86,7 @@ def task_s(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory
     alone: dict[int, list[float]] = {1: [], 2: []}
     words = ("scenes.count=2", *words)
     for turn in range(turns):
-        # In turns: a machine that grows slower while it is measured does so to all alike.
+        # In turns, so that a machine that slows down affects both alike.
         for workers in (1, 2) if turn % 2 == 0 else (2, 1):
             found = sweep("REAL", name, workers, *words, folder=tmp_path_factory.mktemp("real"))
             rates[workers].append(found["tasks_a_second"])
@@ -100,7 +100,7 @@ def task_s(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory
 
 
 def _add_scaling(bench: Results, name: str, rates: dict[int, list[float]], of: str) -> None:
-    """Add the median over turns of two beside one in the same turn: between turns the machine drifts by a tenth."""
+    """Add the median over turns of two workers beside one in the same turn: the machine drifts by a tenth."""
     ratios = [two / one for one, two in zip(rates[1], rates[2], strict=True)]
     turns = ", ".join(f"{two:.3g} / {one:.3g}" for one, two in zip(rates[1], rates[2], strict=True))
     bench.add(name, statistics.median(ratios), "ratio", of, note=f"{turns} a second; median of the turns")

@@ -1,4 +1,4 @@
-"""The service's plan at its largest: a million tasks, and the same resumed when nearly all are done."""
+"""The service's plan at its largest: a million tasks, and a resumption with nearly all of them done."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ A_SCENE = 20  # tasks: five vehicles, four lambda
 
 
 def run(what: str, folder: Path, scenes: int) -> tuple[float, dict[str, Any]]:
-    """Seconds from the start of a process to its end, imports included; and what it printed, with its ``cpu_s``."""
+    """Return the seconds of a whole process, imports included, and its printed results with ``cpu_s``."""
     tests = str(Path(__file__).resolve().parents[1])
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([tests, os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-m", "benchmarks.million_tasks", what, str(folder), str(scenes)]

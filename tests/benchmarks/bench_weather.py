@@ -1,4 +1,4 @@
-"""What weather costs over a whole scene."""
+"""Cost of weather over a whole scene."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WEATHER = {
 
 
 def scene_in(conditions: Conditions) -> tuple[EffectContext, Returns]:
-    """Beams in all directions, 2 to 100 m long, by a sensor of the streets."""
+    """Make beams in all directions, 2 to 100 m long, of a sensor of the streets."""
     rng = np.random.default_rng(1)
     directions = rng.standard_normal((POINTS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -47,7 +47,7 @@ def scene_in(conditions: Conditions) -> tuple[EffectContext, Returns]:
 
 @pytest.mark.parametrize("name", WEATHER)
 def bench_weather(bench: Results, name: str, quick: bool) -> None:
-    """Binding (draws for every beam) and the step, one thread; the first call in a process also makes the table."""
+    """Time binding (draws for every beam) and the step, one thread; a process's first call also makes the table."""
     context, returns = scene_in(WEATHER[name])
     effect = effect_named(name)
 

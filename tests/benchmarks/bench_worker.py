@@ -1,4 +1,4 @@
-"""The memory of a worker on a large scene."""
+"""Memory of a worker on a large scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ POINTS = 180_000
 
 
 def bench_worker_peak(bench: Results, tmp_path: Path, quick: bool) -> None:
-    # A scene from a file, as recorded frames are: making a street takes memory of its own.
+    # The scene comes from a file, like recorded frames: making a street takes memory of its own.
     scenes = streets()
     scene = densified(scenes.load(scenes.names()[1]), POINTS)
     file = tmp_path / "scene.npz"

@@ -1,4 +1,4 @@
-"""Options, fixtures and the file of results. `make bench` collects bench_*.py; a plain pytest sees no benchmark."""
+"""Options, fixtures and results file. `make bench` collects bench_*.py; a plain pytest collects no benchmark."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def _target(config: pytest.Config) -> Path:
-    """Numbers of a quick run are no measurement: they have a file of their own."""
+    """Return the results file. A quick run has a file of its own, because its numbers are no measurement."""
     given = config.getoption("--json")
     return Path(given) if given else OUTPUTS / ("bench-quick.json" if config.getoption("--quick") else "bench.json")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    # Before minutes of measuring, not after them.
+    # A missing file must fail before minutes of measuring, not after them.
     if against := config.getoption("--against", None):
         try:
             config.stash[OLD] = read_results(Path(against))
@@ -47,7 +47,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def bench(pytestconfig: pytest.Config, quick: bool) -> Results:
-    """What was measured so far; `bench.add(...)` adds to it."""
+    """Results so far; `bench.add(...)` adds a record."""
     results = Results(_printer(pytestconfig), "quick run: no measurement" if quick else "")
     threads = torch.get_num_threads()
     results.add("cores", os.cpu_count() or 1, "cores", f"{_processor()}; torch {torch.__version__}, {threads} thread")
@@ -56,7 +56,7 @@ def bench(pytestconfig: pytest.Config, quick: bool) -> Results:
 
 
 def _printer(config: pytest.Config) -> Callable[[str], None]:
-    """Lines to the terminal at once, past pytest's capture."""
+    """Return a function that writes lines to the terminal at once, past pytest's capture."""
     reporter = config.pluginmanager.get_plugin("terminalreporter")
     capture = config.pluginmanager.get_plugin("capturemanager")
     if reporter is None or capture is None:
@@ -79,13 +79,13 @@ def _processor() -> str:
 
 @pytest.fixture(scope="session")
 def quick(pytestconfig: pytest.Config) -> bool:
-    """Whether to run just long enough to see that everything works."""
+    """True if benchmarks run just long enough to show that everything works."""
     return bool(pytestconfig.getoption("--quick"))
 
 
 @pytest.fixture(scope="session")
 def world(quick: bool) -> World:
-    """Scene, vehicle, decoder and detector that everything is measured on."""
+    """Scene, vehicle, decoder and detector of all measurements."""
     from benchmarks.world import open_world
 
     return open_world(thin=20 if quick else 1)
@@ -93,7 +93,7 @@ def world(quick: bool) -> World:
 
 @pytest.fixture(scope="session")
 def loops(world: World, quick: bool) -> AttackLoops:
-    """Attacks in the standard preset whose steps were timed once; benchmarks may run them again."""
+    """Attacks in the standard preset, timed once; benchmarks may run them again."""
     from benchmarks.steps import AttackLoops
 
     attacks = AttackLoops(world.problem(world.counterpart_scene), steps=3 if quick else 7)
@@ -103,7 +103,7 @@ def loops(world: World, quick: bool) -> AttackLoops:
 
 @pytest.fixture(scope="session")
 def peak_gflops(bench: Results, quick: bool) -> dict[torch.dtype, float]:
-    """Measured peaks by dtype, and their records: one measurement that all shares and limits of a run refer to."""
+    """Measured peaks by dtype, with their records: one measurement for all shares and limits of a run."""
     from benchmarks.arithmetic import gemm_peak_gflops
 
     dtypes = [torch.float32, torch.float64] + ([torch.bfloat16] if has_fast_bfloat16() else [])

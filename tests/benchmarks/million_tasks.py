@@ -1,6 +1,6 @@
-"""A sweep of very many tasks in a process of its own, on one core: planned, nearly done, or resumed.
+"""A sweep of a million tasks in its own process on one core: planned, nearly finished, or resumed.
 
-Usage: python -m benchmarks.million_tasks plan|finish|resume|read FOLDER SCENES. Prints what it found as JSON.
+Usage: python -m benchmarks.million_tasks plan|finish|resume|read FOLDER SCENES. Prints its findings as JSON.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _DONE_SHARE = 0.99
 
 
 def catalogue(config: Config) -> Catalogue:
-    """Scenes by name alone: to make a street or to read a frame, and to hash it, takes longer than to plan on it."""
+    """Return scenes by name alone: making or reading a scene and hashing it takes longer than to plan on it."""
     assert isinstance(config.scenes, StreetConfig)
     names = [f"street_{number:06d}" for number in range(config.scenes.count)]
     return Catalogue(
@@ -45,20 +45,20 @@ def catalogue(config: Config) -> Catalogue:
 
 
 def plan_of(scenes: int) -> Plan:
-    """Five vehicles under four lambda in so many scenes."""
+    """Plan five vehicles under four lambda in this many scenes."""
     words = [f"vehicle={','.join(VEHICLES)}", "mode=shape", f"attack.lambda={','.join(LAMBDAS)}"]
     return make_plan(compose_sweep("default", [*words, f"scenes.count={scenes}"]), catalogue)[0]
 
 
 def finish(folder: Path, plan: Plan) -> None:
-    """Commit most of the tasks, a few thousand at a time, without rows: a log is read, segments are not."""
+    """Commit most tasks, a few thousand at a time, without rows: resuming reads the log, not the segments."""
     log, ids = CommitLog(folder, plan.spec_hash), plan.tasks.ids.to_pylist()
     for start in range(0, int(len(ids) * _DONE_SHARE), COMMIT):
         log.commit(tuple(ids[start : start + COMMIT]), (), {})
 
 
 def main(what: str, path: str, scenes: str) -> None:
-    """Do it, and print the number of tasks, of those that are left, and the peak of this process."""
+    """Run one step; print the number of tasks, the number left, and this process's peak memory."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     pa.set_cpu_count(1)

@@ -1,6 +1,6 @@
-"""A task that does nothing and gives one score: what is left is what the service itself takes.
+"""Task that does nothing and returns one score: its time is the service's own time.
 
-SHIFT3D_BENCH_MARKS names a folder in which each worker notes when it was ready to work.
+SHIFT3D_BENCH_MARKS names a folder in which each worker notes the time at which it was ready.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def run(spec: TaskSpec, assets: None) -> TaskResult:
 
 
 def load_real(spec: AssetsSpec) -> Any:
-    """The real task's assets, with the time at which a worker had them."""
+    """Load the real task's assets and note the time at which a worker has them."""
     assets = load_assets(spec)
     _note()
     return assets

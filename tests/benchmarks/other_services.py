@@ -1,7 +1,7 @@
-"""What a user would run a grid with instead, doing nothing N times: seconds a job as JSON.
+"""Other grid runners on N empty jobs: seconds per job as JSON.
 
-Each runs in one process with a few jobs, which start what it needs, again with a few, and with many: the difference of
-the last two is what a job takes once all is started.
+Each runner works in one process: a few jobs, which start everything, a few again, then many. The time per job is the
+difference of the last two, after the start.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ FEW = 4
 
 
 def per_job(seconds: dict[int, float]) -> dict[str, float]:
-    """seconds by number of jobs, for two numbers."""
+    """Return seconds per job from the times for two numbers of jobs."""
     few, many = sorted(seconds)
     return {"ms": 1e3 * (seconds[many] - seconds[few]) / (many - few), "jobs": many}
 
 
 def hydra_multirun(launcher: str, jobs: int) -> dict[str, float]:
-    """Hydra's own multirun of an empty function. launcher: basic or ray."""
+    """Time Hydra's own multirun of an empty function. launcher: basic or ray."""
     import hydra
 
     @hydra.main(version_base=None, config_path=None)
@@ -47,7 +47,7 @@ def hydra_multirun(launcher: str, jobs: int) -> dict[str, float]:
 
 
 def ray_tune(jobs: int) -> dict[str, float]:
-    """Ray Tune with two actors that are used again for every trial."""
+    """Time Ray Tune with two actors that are reused for every trial."""
     import ray
     from ray import tune
 

@@ -1,8 +1,8 @@
 """Two Ray workers beside one on the same tasks in the same minutes; prints both times as JSON.
 
-A machine's speed drifts by a tenth within minutes, so that a sweep with one worker and then one with two compare two
-machines. Here one of two workers, the measured one, does every task twice, once while the other is stopped (SIGSTOP)
-and once beside it, in an order that changes from task to task.
+A machine's speed drifts by a tenth within minutes, so that a sweep with one worker and then one with two would compare
+two machines. In this benchmark the measured worker does every task twice, once while the other worker is stopped
+(SIGSTOP) and once beside it, in an order that changes from task to task.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from shift3d.task.spec import TaskSpec
 
 __all__ = ["PAIRED", "paired"]
 
-_done = 0  # tasks of this worker
+_done = 0  # tasks finished by this worker
 
 
 def load(spec: AssetsSpec) -> Any:
-    """The real task's assets. The first worker that has them is the measured one."""
+    """Load the real task's assets. The first worker that has them is the measured one."""
     assets = noop_task.load_real(spec)
     try:
         with (_folder() / "measured").open("x") as file:
@@ -71,7 +71,7 @@ def run(spec: TaskSpec, assets: Any) -> TaskResult:
 
 
 def _cpu_s(pid: int) -> float:
-    """Time on a core of a process's main thread (Linux)."""
+    """Return the CPU time of a process's main thread (Linux)."""
     return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) / 1e9
 
 
@@ -86,10 +86,10 @@ def paired(sweep: str, overrides: Sequence[str]) -> dict[str, Any]:
     """Run a sweep with two workers.
 
     Returns:
-        {"slower", "pairs", "seconds"}: how many times as long a task takes beside another worker as alone, the
-        geometric mean over tasks of each order and then over both orders, since what is done again is a little faster;
-        how many tasks that is; and the mean seconds of one alone. Tasks near the sweep's end, beside which the other
-        worker had nothing to do for more than a tenth of the time, are left out.
+        {"slower", "pairs", "seconds"}: factor by which a task takes longer beside another worker than alone, the
+        geometric mean over tasks of each order and then over both orders, since a repeated task is a little faster;
+        number of tasks compared; mean seconds of a task alone. Tasks near the sweep's end are left out if the other
+        worker was idle for more than a tenth of the time.
 
     Raises:
         statistics.StatisticsError: no task of one order is left.

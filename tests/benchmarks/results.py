@@ -1,7 +1,7 @@
-"""What a run of the benchmarks measured: records, their file, and the printed tables.
+"""Results of a benchmark run: records, their file, and the printed tables.
 
-The file is one JSON object: name to {"value", "unit", "of"} and, where there is something to say, "low" and "high"
-(quartiles), "note". What was not measured is not there.
+The file is one JSON object: name to {"value", "unit", "of"} and, if known, "low" and "high" (quartiles) and "note". It
+has no entry for a number that was not measured.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ GOALS: dict[str, tuple[str, float]] = {
     "resume_million_s": ("<=", 15.0),
     "reread_million_s": ("<=", 15.0),
 }
-"""What the project claims. A run that misses one says so and does not fail: it measures."""
+"""Claims of the project. A run that misses a claim reports it and does not fail: a benchmark measures."""
 
 
 class Results:
-    """The records of one run, in the order in which they were made.
+    """Records of one run, in the order of their measurement.
 
-    on_record: called with a line for every record, so that a run of minutes shows what it does.
-    condition: what holds of the whole run and is said in every record, such as that it was a quick one.
+    on_record: called with a line for every record, so that a run of minutes shows progress. condition: a fact about the
+    whole run that every record states, such as a quick run.
     """
 
     def __init__(self, on_record: Callable[[str], None] = lambda line: None, condition: str = "") -> None:
@@ -66,10 +66,10 @@ class Results:
 
         Args:
             value, low, high: the number and its quartiles.
-            of: what it is measured of; the same in every run of the same benchmark, so that runs can be compared.
-            note: what belongs to this run alone (counts, sums).
+            of: the measured subject; the same in every run of the same benchmark, so that runs can be compared.
+            note: facts of this run alone (counts, sums).
 
-        Raises: ValueError for a name that is there already, or a number that is not finite.
+        Raises: ValueError for a name that exists already, or a number that is not finite.
         """
         if name in self.records:
             raise ValueError(f"{name} was measured twice")
@@ -87,14 +87,14 @@ class Results:
         self.add(name, timing.median, "ms", of, timing.low, timing.high, note)
 
     def ratio(self, name: str, above: Timing, below: Timing, of: str, note: str = "") -> None:
-        """Add a ratio of medians; low and high are the least and the most that the quartiles allow."""
+        """Add a ratio of medians; low and high are the extremes that the quartiles allow."""
         spent = f"{_number(above.median)} / {_number(below.median)} ms"
         note = f"{spent}; {note}" if note else spent
         low, high = above.low / below.high, above.high / below.low
         self.add(name, above.median / below.median, "ratio", of, low, high, note)
 
     def write(self, path: Path) -> None:
-        """Write the file: whole or not at all."""
+        """Write the file, whole or not at all."""
         text = json.dumps(self.records, indent=1, allow_nan=False)
         write_atomic(path, (text + "\n").encode())
 
@@ -106,7 +106,7 @@ def _rounded(name: str, value: float) -> float:
 
 
 def read_results(path: Path) -> dict[str, Record]:
-    """The records of a file. Raises ValueError for a file that is not one of them."""
+    """Read the records of a file. Raises ValueError for a file of another format."""
     try:
         records = json.loads(path.read_text())
     except (OSError, ValueError) as error:
@@ -120,7 +120,7 @@ def read_results(path: Path) -> dict[str, Record]:
 
 
 def summary(records: Mapping[str, Record]) -> str:
-    """The table of one run, with the goals where there are any; below it what each is measured of."""
+    """Return the table of one run with the goals, if any, and below it the subject of each measurement."""
     lines = []
     for name, record in records.items():
         quartiles = f"{_number(record['low'])} .. {_number(record['high'])}" if "low" in record else ""
@@ -139,7 +139,7 @@ def _goal(name: str, value: float) -> str:
 
 
 def comparison(old: Mapping[str, Record], new: Mapping[str, Record]) -> str:
-    """Old and new value and their ratio, new / old. A star: the two were not measured of the same thing."""
+    """Return old and new value and their ratio, new / old. A star marks a pair with different measured subjects."""
     lines, starred = [], False
     for name in dict.fromkeys([*old, *new]):
         before, after = old.get(name), new.get(name)

@@ -1,6 +1,6 @@
-"""What one driver can feed: the cost of a sweep on many workers, put together from parts that were measured.
+"""The load that one driver can feed: cost of a sweep on many workers, computed from measured parts.
 
-A model and no measurement: it says which part gives out first, and at how short a task. Source: our choice.
+It is a model, not a measurement: it names the part that saturates first, and at which task length. Source: our choice.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ __all__ = ["Forecast", "Parts", "forecast", "forecast_lines"]
 
 @dataclass(frozen=True)
 class Parts:
-    """Measured on one machine.
+    """Times of the parts, measured on one machine.
 
-    overhead_us: what the service takes a no-op task, everything included. commit_ms: a durable commit of 1,000 rows.
-    call_us: a call to a worker and its answer. transfer_mb_s: weights into the object store and a worker.
-    weights_mb: what a worker loads, 10^6 bytes. task_s: one real task.
+    overhead_us: the service's total time per no-op task. commit_ms: a durable commit of 1,000 rows. call_us: a call to
+    a worker and its answer. transfer_mb_s: weights into the object store and a worker. weights_mb: weights that a
+    worker loads, 10^6 bytes. task_s: one real task.
     """
 
     overhead_us: float
@@ -31,10 +31,10 @@ class Parts:
 class Forecast:
     """A sweep of ``tasks`` on ``workers``.
 
-    hours: with no part in the way. busy: part to the share of the driver's time that it takes; the driver keeps up
-    while their sum is below 1. weights_s: until every worker has its weights, one after the other from one machine.
-    bottleneck: the part with the largest share. shortest_task_s: of tasks shorter than this, the driver would not keep
-    the workers busy.
+    hours: duration if no part is a bottleneck. busy: part to its share of the driver's time; the driver keeps up while
+    the sum is below 1. weights_s: time until every worker has its weights, sent one after the other from one machine.
+    bottleneck: the part with the largest share. shortest_task_s: with shorter tasks the driver would not keep the
+    workers busy.
     """
 
     workers: int
@@ -47,10 +47,10 @@ class Forecast:
 
 
 def forecast(parts: Parts, workers: int, tasks: int, batch_s: float = 3.0, commit_s: float = 2.0) -> Forecast:
-    """Extrapolate. batch_s, commit_s: a call to a worker aims at so much work, a commit takes place so often.
+    """Extrapolate from the parts. batch_s: work per call to a worker. commit_s: time between commits.
 
-    A commit's fixed cost is counted as its whole time, and its rows once more within the overhead of a task: the
-    model errs on the driver's bad side.
+    A commit's fixed cost is counted as its whole time, and its rows once more within the overhead of a task: the model
+    errs towards too much work for the driver.
 
     Raises:
         ValueError: a part, the workers or the tasks are not positive.
@@ -63,7 +63,7 @@ def forecast(parts: Parts, workers: int, tasks: int, batch_s: float = 3.0, commi
         "commits": parts.commit_ms * 1e-3 / commit_s,
         "calls to workers": calls_a_second * parts.call_us * 1e-6,
     }
-    # Of tasks so short that a batch holds many, only the rows grow with their number.
+    # If tasks are so short that a batch holds many, only the number of rows grows with the number of tasks.
     rest = busy["commits"] + workers / batch_s * parts.call_us * 1e-6
     shortest = workers * parts.overhead_us * 1e-6 / (1 - rest) if rest < 1 else float("inf")
     return Forecast(
@@ -78,7 +78,7 @@ def forecast(parts: Parts, workers: int, tasks: int, batch_s: float = 3.0, commi
 
 
 def forecast_lines(found: Forecast) -> str:
-    """The forecast in a few lines."""
+    """Format the forecast in a few lines."""
     shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in found.busy.items())
     return (
         f"{found.tasks:.0e} tasks on {found.workers:,} workers: {found.hours:,.1f} h; of the driver's time: {shares}\n"

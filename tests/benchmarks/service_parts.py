@@ -1,4 +1,4 @@
-"""The parts that a cluster's cost is put together from, measured one by one; printed as JSON."""
+"""Parts of the cost model of a cluster, measured one by one; printed as JSON."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROWS, MEGABYTES = 1000, 64
 
 
 def commit_ms(times: int) -> float:
-    """Median time of a durable commit of 1,000 score rows, in the working directory's file system."""
+    """Measure the median time of a durable commit of 1,000 score rows in the working directory's file system."""
     import pyarrow as pa
 
     defaults = {pa.string(): "x", pa.bool_(): True}
@@ -48,7 +48,7 @@ class _Nothing:
 
 
 def ray_parts(calls: int) -> dict[str, float]:
-    """Time of a call with two actors, one call in flight each, and of weights into the object store and an actor."""
+    """Time a call with two actors, one call in flight each, and weights into the object store and an actor."""
     runner = validate(compose_sweep("smoke", ["runner.workers=2"]).base, "benchmark").runner
     assert isinstance(runner, RayRunnerConfig)
     ray = connect(runner, 2)

@@ -1,4 +1,4 @@
-"""Steps of an attack, timed: the standard preset's inside the loop that tasks run, and the published way's."""
+"""Timed steps of an attack: the standard preset's inside the loop that tasks run, and those of the published method."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ MODES = ("shape", "pose")
 
 @dataclass
 class Loop:
-    """Steps of attacks in one mode, the first and the last of each attack left out.
+    """Steps of attacks in one mode, without the first and the last step of each attack.
 
-    The first has nothing to start from, the last takes no gradient. wall_ms: from one record to the next, everything
-    that belongs to a step included. records: of the same steps.
+    The first step has no warm start, the last takes no gradient. wall_ms: from one record to the next, including
+    everything that belongs to a step. records: of the same steps.
     """
 
     wall_ms: list[float] = field(default_factory=list)
@@ -37,26 +37,26 @@ class Loop:
 
     @property
     def step(self) -> Timing:
-        """Of a whole step."""
+        """Time of a whole step."""
         return Timing.of(self.wall_ms)
 
     @property
     def render(self) -> Timing:
-        """Of the rendering in it."""
+        """Time of the rendering in a step."""
         return Timing.of([record.milliseconds["render"] for record in self.records])
 
     @property
     def evaluations(self) -> float:
-        """Median of the decoder's evaluations in one rendering."""
+        """Median number of the decoder's evaluations in one rendering."""
         return statistics.median(record.evaluations for record in self.records)
 
     @property
     def hits(self) -> float:
-        """Median of the returns on the object."""
+        """Median number of returns on the object."""
         return statistics.median(record.check.object_points for record in self.records)
 
     def stages(self) -> str:
-        """Medians by stage, for a note."""
+        """Return medians by stage, for a note."""
         medians = {
             stage: Timing.of([record.milliseconds[stage] for record in self.records]).median
             for stage in self.records[0].milliseconds
@@ -68,7 +68,7 @@ class Loop:
 class AttackLoops:
     """Shape and pose attacks on one problem.
 
-    steps: of every attack, at least 2. modes: what `run` runs, in this order and, every second time, in reverse.
+    steps: of every attack, at least 2. modes: order in which `run` runs them, reversed every second time.
     """
 
     problem: AttackProblem
@@ -78,7 +78,7 @@ class AttackLoops:
     _runs: int = 0
 
     def run(self) -> None:
-        """One attack in every mode."""
+        """Run one attack in every mode."""
         for mode in self.modes if self._runs % 2 == 0 else self.modes[::-1]:
             records: list[StepRecord] = []
             ends: list[float] = []
@@ -97,19 +97,19 @@ class AttackLoops:
         self._runs += 1
 
     def slowest(self, timing: Callable[[Loop], Timing]) -> str:
-        """The mode that takes longest: what is claimed of it holds for the others."""
+        """Return the mode that takes longest: a claim about it holds for the others."""
         return max(self.loops, key=lambda mode: timing(self.loops[mode]).median)
 
 
 @torch.no_grad()
 def cold_rendering(problem: AttackProblem, grid: SdfGrid | None = None) -> Rendering:
-    """One rendering of the start, with nothing to begin from but an SDF grid, and without gradients."""
+    """Render the start cold, without gradients, with an SDF grid or without."""
     field = problem.field_of(problem.code0)
     return render(problem.beams, field, problem.theta0, problem.vehicle, problem.settings, None, grid)
 
 
 def published_step(problem: AttackProblem) -> dict[str, float]:
-    """One step of the published way: the paper's renderer, the whole scene through the detector, float32.
+    """Time one step of the published method: the paper's renderer, the whole scene through the detector, float32.
 
     problem: with the settings of the paper's renderer. Returns milliseconds by stage, "total" among them.
     """

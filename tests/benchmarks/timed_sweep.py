@@ -1,7 +1,7 @@
-"""A sweep in a process of its own, with durable commits; prints how long its run phase took as JSON.
+"""A sweep in its own process, with durable commits; prints the time of its run phase as JSON.
 
-The run phase begins when the first worker has what tasks need, and ends when the last result is committed: neither
-planning, nor Ray's start, nor the final tables. In one process each, since a Ray and its settings are a process's own.
+The run phase begins when the first worker has loaded its assets and ends with the last commit: it excludes planning,
+Ray's start and the final tables. Each sweep has its own process, because Ray and its settings belong to a process.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def run_phase(kind_name: str, sweep: str, workers: int, overrides: Sequence[str]
     """Run a sweep of ``benchmarks.noop_task``'s kinds. workers: Ray's; 0: in this process, without Ray.
 
     Returns:
-        {"seconds", "tasks", "commits", "tasks_a_second"}. The last one is the sum over workers of its tasks by the time
-        from the first one's begin to the last one's end: without a sweep's end, when some have nothing left to do.
+        {"seconds", "tasks", "commits", "tasks_a_second"}. The last is the sum over workers of its tasks by the time
+        from its first task's start to its last task's end: it excludes a sweep's end, when some workers are idle.
     """
     from benchmarks import noop_task
 
@@ -64,7 +64,7 @@ def in_own_process(module: str, *words: str, folder: Path) -> dict[str, Any]:
     """Run ``python -m MODULE WORDS`` in a folder and read the JSON of its last line.
 
     Raises:
-        RuntimeError: it failed; with the end of what it said.
+        RuntimeError: the command failed; the message holds the end of its output.
     """
     tests = str(Path(__file__).resolve().parents[1])
     path = os.pathsep.join([tests, str(Path(tests).parent), os.environ.get("PYTHONPATH", "")])

@@ -23,7 +23,7 @@ class Timing:
 
     @staticmethod
     def of(samples_ms: Sequence[float]) -> Timing:
-        """The timing of these samples."""
+        """Make a timing of these samples."""
         return Timing(tuple(float(sample) for sample in samples_ms))
 
     @property
@@ -48,14 +48,14 @@ class Timing:
 
 
 def milliseconds(call: Callable[[], object]) -> float:
-    """How long one call takes."""
+    """Return the duration of one call."""
     start = time.perf_counter()
     call()
     return 1e3 * (time.perf_counter() - start)
 
 
 def repeat(call: Callable[[], object], budget_s: float, least: int = 3, most: int = 50) -> Timing:
-    """Call once to warm up, then until the budget is spent, at least and at most so often."""
+    """Call once to warm up, then until the budget is spent, within the least and the most number of calls."""
     call()
     samples: list[float] = []
     while len(samples) < least or (len(samples) < most and sum(samples) < 1e3 * budget_s):
@@ -64,12 +64,12 @@ def repeat(call: Callable[[], object], budget_s: float, least: int = 3, most: in
 
 
 def take_turns(calls: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, Timing]:
-    """Time several ways of doing one thing against each other.
+    """Time alternatives against each other.
 
     Args:
-        calls: name to (call, how often in a row). Calls are not warmed up here: one of them may take minutes.
-        rounds: every second round runs them in reverse order, so that a machine that grows slower or faster while it
-            is measured does so to all of them alike.
+        calls: name to (call, number of repetitions in a row). There is no warm-up: a call may take minutes.
+        rounds: every second round runs the calls in reverse order, so that a machine that grows slower or faster during
+            the measurement affects all of them alike.
     """
     samples: dict[str, list[float]] = {name: [] for name in calls}
     for turn in range(rounds):

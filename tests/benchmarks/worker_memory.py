@@ -1,4 +1,4 @@
-"""A worker in a process of its own: runs tasks on the scene of a file and prints its peak memory as JSON."""
+"""A worker in its own process: runs tasks on the scene of a file and prints its peak memory as JSON."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from shift3d.task.spec import PlacementSpec
 
 
 def peak_mb() -> float:
-    """Peak resident memory of this process, in 10^6 bytes.
+    """Return the peak resident memory of this process, in 10^6 bytes.
 
-    Not from getrusage where the kernel tells it otherwise: its maximum survives exec, so that a child starts with
-    what its parent had.
+    The kernel's own count is preferred to getrusage, whose maximum survives exec, so that a child starts with its
+    parent's memory.
     """
     status = Path("/proc/self/status")
     if status.is_file():
@@ -36,7 +36,7 @@ def peak_mb() -> float:
 
 
 def read_scene(path: Path) -> Scene:
-    """The scene of a file with points (N, 3), ground_z_m and boxes (M, 7) of vehicles."""
+    """Read the scene of a file with points (N, 3), ground_z_m and boxes (M, 7) of vehicles."""
     with np.load(path, allow_pickle=False) as file:
         points, boxes, ground_z_m = file["points"], file["boxes"], float(file["ground_z_m"])
     origins = np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape)
@@ -45,8 +45,7 @@ def read_scene(path: Path) -> Scene:
 
 
 def main(path: str, steps: str, tasks: str) -> None:
-    """Run so many tasks, each at a place of its own. Raises RuntimeError where one gives no score: its memory would
-    mean nothing."""
+    """Run tasks, each at another place. Raises RuntimeError if a task returns no score, which voids its memory."""
     import dataclasses
 
     scene = read_scene(Path(path))

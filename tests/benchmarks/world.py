@@ -1,4 +1,4 @@
-"""What is measured: a held-out procedural street, a vehicle in it, the shipped decoder and detector."""
+"""The measured setup: a held-out procedural street, a vehicle in it, the shipped decoder and detector."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ __all__ = [
 VEHICLE = "suv"
 DETECTOR = "pointpillars"
 _STREETS: dict[str, Any] = {"sensor": "mixed", "split": "test", "seed": 0, "count": 4}
-# Not nearer: there one rendering of the paper's way takes minutes on a slow core.
+# Not nearer: at a shorter range one rendering with the paper's renderer takes minutes on a slow core.
 NEAREST_M, FARTHEST_M = 20.0, 25.0
 
 
 @dataclass
 class HeldScenes:
-    """A scene set that also knows scenes made here, by their scene_id."""
+    """Scene set that also holds scenes made by the benchmarks, by their scene_id."""
 
     streets: StreetScenes
     made: dict[str, Scene] = field(default_factory=dict)
@@ -68,25 +68,25 @@ class HeldScenes:
         return self.made[name] if name in self.made else self.streets.load(name)
 
     def hold(self, scene: Scene) -> str:
-        """Keep a scene; its name."""
+        """Keep a scene. Returns its name."""
         scene.validate()
         self.made[scene.scene_id] = scene
         return scene.scene_id
 
 
 def streets() -> HeldScenes:
-    """The streets that are measured on: held out from every training."""
+    """Return the measured streets, held out from every training."""
     return HeldScenes(StreetScenes(**_STREETS))
 
 
 def open_assets(scenes: HeldScenes) -> Assets:
-    """What a worker loads, the scenes being these."""
+    """Return a worker's assets, with these scenes."""
     assets = load_assets(AssetsSpec(scenes={"kind": "street", **_STREETS}))
     return dataclasses.replace(assets, scenes=scenes, poses={})
 
 
 def make_spec(scene: str, accuracy: str = "standard", **changes: object) -> TaskSpec:
-    """A shape task of the vehicle in a scene, 20 to 25 m away unless `placement` says otherwise."""
+    """Return a shape task of the vehicle in a scene, 20 to 25 m away unless `placement` says otherwise."""
     settings = accuracy_settings(AccuracyConfig(name=accuracy, render={}))  # type: ignore[arg-type]
     spec = TaskSpec(
         vehicle=VEHICLE,
@@ -107,8 +107,8 @@ def make_spec(scene: str, accuracy: str = "standard", **changes: object) -> Task
 class World:
     """The vehicle at one place of one scene.
 
-    theta: (6,) float64 pose. counterpart_scene: the scene that the paper's renderer is compared on; the same one, or
-    one with fewer beams where the run only tries things out.
+    theta: (6,) float64 pose. counterpart_scene: scene for the comparison with the paper's renderer: the same scene, or
+    in a trial run one with fewer beams.
     """
 
     assets: Assets
@@ -125,21 +125,21 @@ class World:
     def problem(
         self, scene: str | None = None, accuracy: str = "standard", theta: Tensor | None = None
     ) -> AttackProblem:
-        """The attack as a task of this accuracy sets it up, with the detector at the precision that is descended."""
+        """Return the attack as a task of this accuracy sets it up, with the detector at the search's precision."""
         spec = make_spec(scene or self.scene, accuracy)
         problem = build_problem(spec, self.assets, self.theta if theta is None else theta)
         precision = str(spec.accuracy_settings["detector"])
         return dataclasses.replace(problem, detector=self.assets.detector_of(spec.detector, precision))
 
     def sdf_grid(self, problem: AttackProblem) -> SdfGrid:
-        """The vehicle's SDF grid, which tasks make once."""
+        """Return the vehicle's SDF grid, which a task makes once."""
         with torch.no_grad():
             return SdfGrid.of(problem.field_of(problem.code0), problem.vehicle, problem.settings)
 
     def place_at(self, range_m: float) -> tuple[str, Placement] | None:
-        """A scene and a place for the vehicle at this range, within half a metre; None if no scene has one.
+        """Return a scene and a place for the vehicle at this range, within half a metre; None if no scene has one.
 
-        Far away 300 returns do not exist: ten are enough here.
+        Ten returns are enough, because far objects do not have 300.
         """
         where = PlacementSpec(min_range_m=range_m - 0.5, max_range_m=range_m + 0.5, min_object_points=10, attempts=100)
         for scene in self.scenes.streets.names():
@@ -150,9 +150,9 @@ class World:
 
 
 def open_world(thin: int = 1) -> World:
-    """The first of the streets that has room for the vehicle at 20 to 25 m.
+    """Return the first street that has room for the vehicle at 20 to 25 m.
 
-    thin: of the counterpart scene every so manieth beam is kept.
+    thin: the counterpart scene keeps every thin-th beam.
     """
     scenes = streets()
     assets = open_assets(scenes)
@@ -165,7 +165,7 @@ def open_world(thin: int = 1) -> World:
 
 
 def _with_points(scene: Scene, points: np.ndarray, suffix: str) -> Scene:
-    """The same street with other points, (N, 3), and nothing known of them but where they are."""
+    """Return the same street with other points (N, 3), without any other data per point."""
     return Scene(
         scene_id=f"{scene.scene_id}-{suffix}",
         dataset=scene.dataset,
@@ -181,11 +181,11 @@ def _thinned(scene: Scene, every: int) -> Scene:
 
 
 def with_beams_elsewhere(scene: Scene, theta: Tensor, factor: int, clear_m: float = 12.0) -> Scene:
-    """The scene with `factor` times its beams, none of the new ones near the object.
+    """Return the scene with `factor` times its beams, none of the new ones near the object.
 
-    New beams are those of the scene turned about the sensor by a random angle, each off by about a twentieth of a
-    degree. Left out are those that pass within clear_m of the object's centre: 7 m for the sphere outside which beams
-    are left alone, 4 m that a pose attack may move it, and one to spare.
+    New beams are copies of the scene's beams, turned about the sensor by a random angle, each off by about a twentieth
+    of a degree. Beams that pass within clear_m of the object's centre are left out: 7 m for the sphere outside which
+    the renderer ignores beams, 4 m that a pose attack may move the object, and 1 m to spare.
     """
     rng = np.random.default_rng(factor)
     centre = theta[:3].double().numpy()
@@ -201,7 +201,7 @@ def with_beams_elsewhere(scene: Scene, theta: Tensor, factor: int, clear_m: floa
 
 
 def densified(scene: Scene, count: int) -> Scene:
-    """The scene with beams of its own repeated, each slightly turned, until there are `count`."""
+    """Return the scene with its own beams repeated, each slightly turned, until there are `count`."""
     rng = np.random.default_rng(count)
     original = scene.points.astype(np.float64)
     rows = rng.integers(0, len(original), max(0, count - len(original)))
@@ -210,11 +210,11 @@ def densified(scene: Scene, count: int) -> Scene:
 
 
 def _turned(points: np.ndarray, angle_rad: float, rng: np.random.Generator) -> np.ndarray:
-    """Points (N, 3) turned about the sensor's vertical axis, each by its own small angle more."""
+    """Turn points (N, 3) about the sensor's vertical axis, each by its own small extra angle."""
     angle = angle_rad + rng.normal(0.0, math.radians(0.05), len(points))
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack((cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1], points[:, 2]), 1)
 
 
-# A spec for a short task: as many kinds of candidates as a task has, few of each.
+# A spec for a short task: all kinds of candidates of a task, few of each.
 SHORT = AttackSpec(steps=3, random_replicates=1, noise_replicates=1)

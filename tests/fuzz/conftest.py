@@ -1,4 +1,4 @@
-"""Prints what came of the mutants, by kind of input, at the end of the tests."""
+"""Prints the outcomes of the mutants by kind of input, at the end of the tests."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""Mutants of input files fed to the public loaders, each kind in a child process, and what came of them.
+"""Mutants of input files fed to the public loaders, each kind in a child process, and their outcomes.
 
-A kind of input says how a valid one is written, how a mutant of it is made from a seed, and what loading it must give.
-Outcomes are "error" (an InputError that names the file, in one line, with a remedy), "valid" (the invariants hold), and
-everything else, which is a failure: another exception, an invariant that does not hold, more than SECONDS of processor
-time, a process that dies, more memory than MEMORY_BYTES, or a warning of the arithmetic (overflow, invalid value).
+A kind of input states how a valid input is written, how a mutant of it is made from a seed, and what loading it must
+give. Outcomes are "error" (an InputError that names the file, in one line, with a remedy), "valid" (the invariants
+hold), and failures: any other exception, a violated invariant, more than SECONDS of processor time, a process that
+dies, more memory than MEMORY_BYTES, or a warning of the arithmetic (overflow, invalid value).
 
-The child is what makes this safe: native code that hangs cannot be interrupted by a signal's handler, and one that
-crashes would take the tests with it.
+The child process is necessary: no signal handler can interrupt native code that hangs, and native code that crashes
+would end the tests.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from shift3d.errors import InputError
 
 SECONDS = 5.0
 WALL_SECONDS = 60.0
-"""For one mutant: other work may slow this process down, and hardly that much."""
+"""For one mutant: other work may slow this process down, but hardly this much."""
 MEMORY_BYTES = 2**31
-"""Of address space beyond what the process has: libraries reserve some, an absurd length asks for more."""
+"""Address space beyond that of the process: libraries reserve some, an absurd length asks for more."""
 GROWTH_BYTES = 400 * 2**20
-"""Of memory in use, likewise."""
+"""Memory in use beyond that of the process."""
 
 
 @dataclass(frozen=True)
 class InputKind:
     """One kind of input.
 
-    name: of the kind. count: mutants of it. write: a valid input into an empty folder. mutate: changes it there, and
-    says in a word how. load: through the public loader; checks the invariants of the result and returns what
-    identifies it (compared where `mutate` says "harmless"). named: the words of which an error must hold one; None:
-    the name of a file in the folder.
+    name: of the kind. count: number of mutants. write: writes a valid input into an empty folder. mutate: changes the
+    input and returns a word for the change. load: loads it through the public loader, checks the invariants of the
+    result and returns its identity (compared if `mutate` says "harmless"). named: words of which an error must contain
+    one; None: the name of a file in the folder.
     """
 
     name: str
@@ -68,11 +68,11 @@ class Report:
     seconds: float = 0.0
 
     def counts(self) -> Counter[str]:
-        """How many of each: "error", "valid", "failed"."""
+        """Count each outcome: "error", "valid", "failed"."""
         return Counter(o if o in ("error", "valid") else "failed" for o in self.outcomes.values())
 
     def failures(self) -> list[str]:
-        """One line a failed seed, with the command that replays it."""
+        """Return one line per failed seed, with the command that replays it."""
         failed = [(seed, text) for seed, text in self.outcomes.items() if text not in ("error", "valid")]
         return [f"{text}   (python tests/fuzz/replay.py {self.kind!r} {seed})" for seed, text in failed]
 
@@ -82,18 +82,18 @@ REPORTS: dict[str, Report] = {}
 
 
 def register(kind: InputKind) -> None:
-    """Put a kind of input on the list."""
+    """Add a kind of input to the list."""
     assert kind.name not in KINDS
     KINDS[kind.name] = kind
 
 
 def generator(kind: str, seed: int) -> np.random.Generator:
-    """The only source of a mutant's randomness."""
+    """Return the only source of a mutant's randomness."""
     return np.random.default_rng([zlib.crc32(kind.encode()), seed])
 
 
 def feed(kind: InputKind, seeds: Sequence[int] | None = None) -> Report:
-    """Every mutant of a kind through its loader. A child that dies or hangs costs its mutant alone."""
+    """Load every mutant of a kind. If the child dies or hangs, only its current mutant is lost."""
     report, began = Report(kind.name), time.monotonic()
     left = list(range(kind.count) if seeds is None else seeds)
     with tempfile.TemporaryDirectory() as place:
@@ -111,7 +111,7 @@ def feed(kind: InputKind, seeds: Sequence[int] | None = None) -> Report:
 
 
 def _in_child(kind: InputKind, seeds: list[int], place: Path, expected: Any) -> dict[int, str]:
-    """Outcomes until the child has done all or one of them ended it."""
+    """Return outcomes until the child has finished, or one mutant has ended the child."""
     reader, writer = os.pipe()
     sys.stdout.flush()
     sys.stderr.flush()
@@ -143,12 +143,12 @@ def _in_child(kind: InputKind, seeds: list[int], place: Path, expected: Any) -> 
 
 
 def _wait(pipe: int, child: int) -> str | None:
-    """Until the child says something; what it did wrong where it took too long."""
+    """Wait for the child's next message. Returns its failure if the wait took too long."""
     began, used = time.monotonic(), _processor_seconds(child)
     while not select.select([pipe], [], [], 0.2)[0]:
         if (
             _processor_seconds(child) - used > SECONDS + 1.0 or time.monotonic() - began > WALL_SECONDS
-        ):  # the child itself counts to SECONDS where it can
+        ):  # the child itself counts to SECONDS if possible
             os.kill(child, signal.SIGKILL)
             return f"took over {SECONDS:.0f} s"
     return None
@@ -160,7 +160,7 @@ def _processor_seconds(process: int) -> float:
 
 
 def _child(kind: InputKind, seeds: list[int], place: Path, expected: Any, writer: int) -> None:
-    """Never returns: whatever happens, the tests go on in the parent alone."""
+    """Load mutants and report. Never returns: whatever happens, only the parent continues the tests."""
     try:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         null = os.open(os.devnull, os.O_WRONLY)
@@ -179,20 +179,20 @@ def _child(kind: InputKind, seeds: list[int], place: Path, expected: Any, writer
 
 
 def limit_memory() -> None:
-    """MEMORY_BYTES more than now, for good."""
+    """Limit the address space to MEMORY_BYTES more than in use, for good."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 def make_mutant(kind: InputKind, seed: int, folder: Path) -> str:
-    """Write a mutant into an empty folder, and say how it was made."""
+    """Write a mutant into an empty folder. Returns how it was made."""
     kind.write(folder)
     return kind.mutate(folder, generator(kind.name, seed))
 
 
 def outcome_of(kind: InputKind, seed: int, place: Path, expected: Any) -> str:
-    """ "error", "valid", or what is wrong."""
+    """Return "error", "valid", or a description of the failure."""
     with tempfile.TemporaryDirectory(dir=place) as name:
         folder = Path(name)
         how = make_mutant(kind, seed, folder)
@@ -228,7 +228,7 @@ def _loaded(kind: InputKind, folder: Path, how: str, expected: Any) -> str:
 
 
 def _unclear(error: InputError, kind: InputKind, folder: Path) -> str:
-    """What an error lacks to be read by a person."""
+    """Return the defect of an error message, such as a missing remedy."""
     text = str(error)
     cause: BaseException | None = error
     while cause is not None:

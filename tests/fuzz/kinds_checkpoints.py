@@ -1,4 +1,4 @@
-"""Weights: decoders and detectors in safetensors, vehicle sets, and experiments in the original DeepSDF layout."""
+"""Mutants of weights: decoders and detectors in safetensors, vehicle sets, and original DeepSDF experiments."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ POINTS = torch.from_numpy(np.random.default_rng(1).uniform(-1.0, 1.0, (30, 3)).a
 
 
 def field_values(decoder: Any, code: torch.Tensor) -> list[float]:
-    """g at some points, checked: finite, within tanh's range, with finite gradients to code and points."""
+    """Return g at some points after checks: finite, within tanh's range, finite gradients by code and points."""
     z, x = code.clone().requires_grad_(), POINTS.clone().requires_grad_()
     values = decoder.field(z)(x)
     assert values.shape == (len(x),) and values.dtype == torch.float32
@@ -47,7 +47,7 @@ def field_values(decoder: Any, code: torch.Tensor) -> list[float]:
 
 
 def _shuffled_header(content: bytes, rng: Rng) -> bytes:
-    """The same file with its tensors described in another order, and one more word of metadata."""
+    """Return the same file with its tensors described in another order, and one more word of metadata."""
     length = struct.unpack("<Q", content[:8])[0]
     header = json.loads(content[8 : 8 + length])
     names = list(header)
@@ -68,7 +68,7 @@ def _mutated_header(content: bytes, rng: Rng) -> bytes:
 
 
 def _mutated_metadata(path: Path, rng: Rng) -> None:
-    """A JSON text of the metadata changed inside."""
+    """Change a JSON text inside the metadata."""
     from safetensors import safe_open
 
     with safe_open(str(path), framework="np") as file:
@@ -159,7 +159,7 @@ def _check_vehicle(vehicle: Vehicle) -> str:
     assert 0.05 < vehicle.scale_m < 100.0 and 0.0 < min(vehicle.size_m) <= max(vehicle.size_m) <= 20.0
     there = np.random.default_rng(0).uniform(-2.0, 2.0, (5, 3))
     assert np.allclose(vehicle.to_object(vehicle.to_sdf(there)), there, atol=1e-3)
-    # A rotation and one scale: lengths are kept in proportion.
+    # A rotation and one scale: lengths keep their proportions.
     moved = np.linalg.norm(np.diff(vehicle.to_sdf(there), axis=0), axis=1) * vehicle.scale_m
     assert np.allclose(moved, np.linalg.norm(np.diff(there, axis=0), axis=1), rtol=1e-3)
     return vehicle_hash(vehicle)

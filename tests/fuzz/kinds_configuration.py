@@ -1,7 +1,7 @@
-"""Sweep files, overrides on the command line, and settings as plain values, through Hydra and the schema.
+"""Mutants of sweep files, command-line overrides, and plain settings, through Hydra and the schema.
 
-Hydra takes a third of a second to compose the repository's own files, so the sweep file here holds every setting
-itself, in an installation of its own: a folder with sweeps/ and conf/, of which only two groups are left.
+Hydra takes a third of a second to compose the repository's own files. The sweep file of these tests therefore holds
+every setting itself, in an installation of its own: a folder with sweeps/ and conf/, which has only two groups.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ OVERRIDES = (
 
 
 def check(config: Config) -> dict[str, Any]:
-    """Plain values without NaN or infinity, as a task's id needs them, and settings that the renderer takes."""
+    """Check plain values: no NaN or infinity, as a task's id needs, and settings that the renderer accepts."""
     render = accuracy_settings(config.accuracy)
     values = config.settings()
     json.dumps([values, render], sort_keys=True, allow_nan=False)

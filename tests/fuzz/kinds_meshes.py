@@ -1,4 +1,4 @@
-"""Vehicle meshes in PLY (text and binary), OBJ, STL and GLB: read, oriented, scaled; some of them closed as well."""
+"""Mutants of vehicle meshes in PLY (text and binary), OBJ, STL and GLB: read, oriented, scaled; some also closed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FORMATS = ("text.ply", "binary.ply", "car.obj", "car.stl", "car.glb")
 
 @functools.cache
 def car() -> trimesh.Trimesh:
-    """A closed solid of 44 triangles, 2.4 m long: a wedge and a cabin that reaches into it."""
+    """Return a closed solid of 44 triangles, 2.4 m long: a wedge and a cabin that reaches into it."""
     outline = np.array([[-1.2, 0.2], [1.2, 0.2], [1.2, 0.5], [-1.2, 0.9]])
     sides = [np.column_stack([outline[:, 0], np.full(4, y), outline[:, 1]]) for y in (-0.6, 0.6)]
     parts = [trimesh.convex.convex_hull(np.concatenate(sides))]
@@ -53,9 +53,9 @@ def write_mesh(folder: Path, name: str) -> None:
 
 
 def load_mesh(folder: Path) -> Any:
-    """Read and turned into the object frame; what identifies it."""
+    """Read a mesh and turn it into the object frame. Returns its identity."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # the readers' own, before anything is checked
+        warnings.simplefilter("ignore", RuntimeWarning)  # the readers' own warnings, before any check
         (file,) = find_meshes(folder)
         mesh = read_mesh(file.path)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -72,7 +72,7 @@ def load_mesh(folder: Path) -> Any:
 
 
 def load_vehicle(folder: Path) -> Any:
-    """Closed as well."""
+    """Read a mesh and close it, too."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         (file,) = find_meshes(folder)
@@ -85,7 +85,7 @@ def load_vehicle(folder: Path) -> Any:
 
 
 def _mutated_glb(content: bytes, rng: Rng) -> bytes:
-    """Its JSON chunk changed inside, lengths put right."""
+    """Change the JSON chunk inside and correct the lengths."""
     length = struct.unpack("<I", content[12:16])[0]
     text = json.dumps(mutate_values(json.loads(content[20 : 20 + length]), rng)).encode()
     text += b" " * (-len(text) % 4)
@@ -94,7 +94,7 @@ def _mutated_glb(content: bytes, rng: Rng) -> bytes:
 
 
 def _mutated_solid(name: str, rng: Rng) -> bytes:
-    """Written by the library from a damaged mesh: special coordinates, missing, repeated, turned or wrong faces."""
+    """Export a damaged mesh with the library: special coordinates, missing, repeated, turned or wrong faces."""
     vertices, faces = np.array(car().vertices), np.array(car().faces)
     how = pick(("vertices", "drop", "turn", "double", "scale", "degenerate", "flat", "empty", "far"), rng)
     if how == "vertices":
@@ -157,7 +157,7 @@ def mesh_mutator(name: str) -> Callable[[Path, Rng], str]:
 
 
 def mutate_any(folder: Path, rng: Rng) -> str:
-    """Of the binary PLY, in the ways that a reader lets through."""
+    """Change the binary PLY in ways that a reader accepts."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         (folder / "binary.ply").write_bytes(_mutated_solid("binary.ply", rng))

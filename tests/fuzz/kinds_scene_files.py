@@ -1,4 +1,4 @@
-"""KITTI frames: the points, the labels, the calibration, and real frames where there are some."""
+"""Mutants of KITTI frames: points, labels, calibration, and real frames if they exist."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REAL = Path(os.environ.get("SHIFT3D_REAL_DATA", ROOT.parent / "shared" / "real")
 
 
 def load_frame(folder: Path) -> Any:
-    """Everything that is read of a frame; a digest of it."""
+    """Read everything of a frame. Returns a digest."""
     scenes = KittiScenes(folder)
     assert scenes.names() == [NAME]
     scene = scenes.load(NAME)
@@ -76,7 +76,7 @@ def mutate_points(folder: Path, rng: Rng) -> str:
 
 
 def _without_meaning(text: str, rng: Rng) -> str:
-    """Other blanks, other line ends, empty lines: the same words in the same lines."""
+    """Change blanks, line ends and empty lines: the same words in the same lines."""
     how = pick(("blanks", "crlf", "empty", "end", "tabs"), rng)
     if how == "crlf":
         return text.replace("\n", "\r\n")
@@ -100,7 +100,7 @@ def text_mutator(part: str) -> Callable[[Path, Rng], str]:
 
 
 def write_real_frame(folder: Path) -> None:
-    """A real frame of which every tenth point is kept, so that mutants stay cheap."""
+    """Write a real frame with every tenth point, so that mutants stay cheap."""
     for part, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt")):
         (folder / "training" / part).mkdir(parents=True)
         source = sorted((REAL / part).glob(f"*.{suffix}"))[0]

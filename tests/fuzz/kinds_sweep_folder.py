@@ -1,4 +1,4 @@
-"""What a sweep has written: the spec, the plan, the commit log, the segments; and a measured frontier."""
+"""Mutants of a sweep's files: spec, plan, commit log, segments; and of a measured frontier."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from shift3d.sweep.results.final import write_final
 
 
 def check_table(table: pa.Table, schema: pa.Schema) -> None:
-    """Its schema's columns and types, nothing missing that may not be, and no number that is none."""
+    """Check the schema's columns and types, required values, and that no number is NaN."""
     assert table.schema.names == schema.names and table.schema.types == schema.types
     for field in schema:
         column = table[field.name]
@@ -36,7 +36,7 @@ def check_table(table: pa.Table, schema: pa.Schema) -> None:
 
 
 def mutate_table(table: pa.Table, rng: Rng) -> pa.Table:
-    """A column gone, doubled, of another type or name, with values missing or special; rows gone; other metadata."""
+    """Change columns (removed, doubled, retyped, renamed, missing or special values), rows or metadata of a table."""
     how = pick(("drop", "rename", "type", "null", "special", "rows", "metadata", "order"), rng)
     index = int(rng.integers(table.num_columns))
     name = table.column_names[index]
@@ -79,7 +79,7 @@ def _segment(folder: Path, rng: Rng) -> Path:
 
 
 def load_segments(folder: Path) -> Any:
-    """Every segment that the log names, checked."""
+    """Load every segment that the log names, and check it."""
     rows = {}
     for entry in read_log(folder):
         for name, file in entry.segments.items():
@@ -90,7 +90,7 @@ def load_segments(folder: Path) -> Any:
 
 
 def load_final(folder: Path) -> Any:
-    """The final tables from whatever is there."""
+    """Load the final tables from the existing files."""
     final = write_final(folder, plan(), read_log(folder))
     for name, table in final.tables.items():
         check_table(table, SCHEMAS[name])
@@ -128,7 +128,7 @@ def load_log(folder: Path) -> Any:
         rows = dict(entry.rows)
         assert dict(entry.segments).keys() == rows.keys() <= SCHEMAS.keys()
         assert all(type(count) is int and count >= 0 for count in rows.values())
-        # A segment lies in data/, whatever the entry says.
+        # A segment must be in data/, whatever the entry says.
         assert all(Path(file).name == file for file in entry.segments.values())
     return [(entry.kind, entry.done, sorted(entry.segments.items()), sorted(entry.rows.items())) for entry in entries]
 
@@ -147,7 +147,7 @@ def mutate_spec(folder: Path, rng: Rng) -> str:
 
 
 def load_plan(folder: Path) -> Any:
-    """The plan, and that the folder's spec is of it."""
+    """Load the plan, and check that the folder's spec belongs to it."""
     spec, found = read_spec(folder), read_plan(folder)
     assert isinstance(spec["spec_hash"], str) and isinstance(found.sweep, str)
     assert isinstance(found.settings, dict) and isinstance(found.axes, dict)

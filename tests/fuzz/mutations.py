@@ -1,8 +1,8 @@
-"""Damage to files, drawn from a seed: of bytes and of text; of plain values and arrays see `value_mutations`.
+"""Damage to files, drawn from a seed: bytes and text; for plain values and arrays see `value_mutations`.
 
 Every function takes the content and a generator and returns changed content; the same generator state gives the same
-change. Changes model what happens to files: bits that flip, copies that end early, columns in the wrong place, values
-that a computation made (NaN, infinity, subnormal numbers), lengths in headers that no file of this size can have.
+change. Changes model real faults: flipped bits, copies that end early, columns in the wrong place, values of faulty
+computations (NaN, infinity, subnormal numbers), lengths in headers that no file of this size can have.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ WORDS = (
 
 
 def pick(choices: tuple[Any, ...] | list[Any], rng: Rng) -> Any:
-    """One of them."""
+    """Return one of the choices."""
     return choices[int(rng.integers(len(choices)))]
 
 
 def span(length: int, rng: Rng, longest: int = 64) -> tuple[int, int]:
-    """(start, end) of a stretch of something of this length, mostly short."""
+    """Return (start, end) of a random stretch within this length, mostly short."""
     start = int(rng.integers(length + 1))
     return start, min(length, start + int(rng.integers(1, max(2, min(longest, length) + 1))))
 
@@ -50,7 +50,7 @@ def flip_bits(content: bytes, rng: Rng) -> bytes:
 
 
 def flip_early_bits(content: bytes, rng: Rng) -> bytes:
-    """Where headers are."""
+    """Flip bits near the beginning, where headers are."""
     head = min(len(content), 256)
     return flip_bits(content[:head], rng) + content[head:]
 
@@ -91,7 +91,7 @@ def repeat_block(content: bytes, rng: Rng) -> bytes:
 
 
 def absurd_length(content: bytes, rng: Rng) -> bytes:
-    """An integer of 4 or 8 bytes near the beginning, as a header's length, count or offset would be."""
+    """Write an integer of 4 or 8 bytes near the beginning, as a header's length, count or offset."""
     size = int(pick((4, 8), rng))
     value = int(pick(ABSURD_INTEGERS, rng)) % 256**size
     reach = min(len(content), int(pick((16, 128, 4096), rng)))
@@ -100,7 +100,7 @@ def absurd_length(content: bytes, rng: Rng) -> bytes:
 
 
 def special_number(content: bytes, rng: Rng) -> bytes:
-    """NaN, infinity, a huge or a subnormal number where a float32 or float64 may be."""
+    """Write NaN, infinity, a huge or a subnormal number at the place of a float32 or float64."""
     kind = pick(("<f4", "<f8", ">f4"), rng)
     with np.errstate(over="ignore"):
         raw = np.array(pick(SPECIAL_FLOATS, rng)).astype(kind).tobytes()
@@ -115,7 +115,7 @@ BYTES: tuple[Callable[[bytes, Rng], bytes], ...] = (
 
 
 def mutate_bytes(content: bytes, rng: Rng) -> bytes:
-    """One change, now and then several."""
+    """Make one change, sometimes several."""
     for _ in range(int(pick((1, 1, 1, 1, 3), rng))):
         content = pick(BYTES, rng)(content, rng)
     return content
@@ -185,7 +185,7 @@ TEXT: tuple[Callable[[str, Rng], str], ...] = (replace_number, change_words, cha
 
 
 def mutate_text(content: bytes, rng: Rng) -> bytes:
-    """Two thirds text, one third bytes: also what is no UTF-8."""
+    """Change text: two thirds as text, one third as bytes, which can break UTF-8."""
     if rng.uniform() < 0.25:
         return mutate_bytes(content, rng)
     text = content.decode()

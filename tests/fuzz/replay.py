@@ -1,4 +1,4 @@
-"""One mutant again: `python tests/fuzz/replay.py KIND SEED [FOLDER]` makes it (in FOLDER), loads it, shows all."""
+"""Replay of one mutant: `python tests/fuzz/replay.py KIND SEED [FOLDER]` makes it (in FOLDER), loads it, shows all."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Thousands of damaged files: each gives a clear error or a valid result, and nothing else.
 
-The damage is drawn from (kind, seed), so that a failure can be looked at again:
-`python tests/fuzz/replay.py KIND SEED` makes the mutant, loads it and shows the traceback.
+The damage is drawn from (kind, seed), so that a failure can be replayed: `python tests/fuzz/replay.py KIND SEED` makes
+the mutant, loads it and shows the traceback.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def test_a_clear_error_or_a_valid_result(name: str) -> None:
     failures = report.failures()
     assert not failures, f"{len(failures)} of {len(report.outcomes)}:\n" + "\n".join(failures[:20])
     assert len(report.outcomes) == KINDS[name].count
-    # Neither a loader that refuses everything nor one that takes everything.
+    # The loader must neither refuse everything nor accept everything.
     assert counts["error"] and counts["valid"]
 
 

@@ -26,7 +26,7 @@ def _places(values: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 def mutate_values(values: Any, rng: Rng) -> Any:
-    """A copy of nested dictionaries and lists with one value replaced, removed, renamed, doubled or moved."""
+    """Copy nested dictionaries and lists with one value replaced, removed, renamed, doubled or moved."""
     values = copy.deepcopy(values)
     places = _places(values)
     if not places or rng.uniform() < 0.02:
@@ -63,7 +63,7 @@ DTYPES = ("float16", "float64", "int64", "int32", "uint8", "bool", "complex64")
 
 
 def write_specials(array: Array, rng: Rng) -> Array:
-    """One to many entries become NaN, infinite, huge, tiny, zero or negative."""
+    """Set one to many entries to NaN, infinite, huge, tiny, zero or negative."""
     array = np.array(array)
     if not array.size:
         return array
@@ -97,7 +97,7 @@ def change_shape(array: Array, rng: Rng) -> Array:
 
 
 def scramble(array: Array, rng: Rng) -> Array:
-    """Rows or entries in another order, or scaled: still finite numbers."""
+    """Reorder or scale rows or entries: the numbers stay finite."""
     if array.ndim and rng.uniform() < 0.5:
         return rng.permutation(array)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -110,7 +110,7 @@ ARRAYS: tuple[Callable[[Array, Rng], Array], ...] = (
 
 
 def mutate_arrays(arrays: dict[str, Array], rng: Rng) -> dict[str, Array]:
-    """Named arrays with one of them changed, removed, renamed, doubled under a new name, or two swapped."""
+    """Change one of the named arrays: changed, removed, renamed, doubled under a new name, or two swapped."""
     arrays = dict(arrays)
     name = str(pick(sorted(arrays), rng))
     action = pick(("change", "change", "change", "change", "remove", "rename", "add", "swap"), rng)

@@ -21,11 +21,11 @@ from shift3d.render import Beams, Rendering, render
 THETA = torch.tensor([12.0, 4.0, -0.9, 0.7, 0.04, -0.06], dtype=torch.float64)
 CODE = torch.tensor([0.3, -0.2, 0.1, 0.5, -0.4, 0.8], dtype=torch.float64)
 GROUND_Z_M = -2.2
-"""So low that every hit is above what the small detector leaves out as ground."""
+"""Low enough that every hit is above the points that the small detector drops as ground."""
 
 
 def softplus_network(code: Tensor) -> Field:
-    """A smooth network with a shape's code as its input, about an ellipsoid; sdf frame."""
+    """Return a smooth network with a shape's code as its input, about an ellipsoid; sdf frame."""
     generator = torch.Generator().manual_seed(5)
     sizes = [(32, 3 + len(code)), (32, 32), (1, 32)]
     weights = [torch.randn(*size, generator=generator, dtype=torch.float64) / size[1] ** 0.5 for size in sizes]
@@ -53,7 +53,7 @@ def fan(rays: int, half_angle_rad: float = 0.2) -> Beams:
 
 
 def inner_beams(name: str) -> Beams:
-    """Beams that meet the surface at more than 24 degrees, so that it may move by centimetres."""
+    """Return beams that meet the surface at more than 24 degrees, so that it may move by centimetres."""
     beams, field = fan(16, 0.15), FIELDS[name](CODE)
     with torch.no_grad():
         rendering = render(beams, field, THETA, SHAPENET_FRAME, EXACT)
@@ -73,7 +73,7 @@ VARIABLES = {"pose": THETA, "code": CODE, "code and pose": torch.cat((CODE, THET
 
 
 def drawing(name: str, variable: str, beams: Beams) -> Drawing:
-    """A rendering as a function of pose, code or both."""
+    """Return a rendering as a function of pose, code or both."""
 
     def draw(v: Tensor) -> Rendering:
         code, theta = {"pose": (CODE, v), "code": (v, THETA), "code and pose": (v[:6], v[6:])}[variable]
@@ -83,7 +83,7 @@ def drawing(name: str, variable: str, beams: Beams) -> Drawing:
 
 
 def of_points(draw: Drawing) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-    """A smooth loss of every coordinate."""
+    """Return a smooth loss of every coordinate."""
 
     def loss(v: Tensor) -> tuple[Tensor, Tensor]:
         rendering = draw(v)
@@ -93,7 +93,7 @@ def of_points(draw: Drawing) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
 
 
 def through(detector: Detector, draw: Drawing, at: Tensor) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-    """The adversarial loss. All boxes stay as they are `at`: overlaps are weights and no part of the gradient."""
+    """Return the adversarial loss. All boxes stay as they are `at`: overlaps are weights without a gradient."""
     truth = object_box(THETA, SHAPENET_FRAME.size_m, GROUND_Z_M)
     window = window_around(detector, THETA, 6.0)
 
@@ -111,7 +111,7 @@ def through(detector: Detector, draw: Drawing, at: Tensor) -> Callable[[Tensor],
 
 
 def smooth_cases() -> list[GradientCase]:
-    """Steps of a hundredth: the error of central differences is then the third derivative's, not rounding."""
+    """Return cases with steps of a hundredth: central differences err by the third derivative, not by rounding."""
     cases = []
     for name, variable, step in (
         ("sphere", "pose", 2e-3),
@@ -132,8 +132,10 @@ def smooth_cases() -> list[GradientCase]:
 
 
 def silhouette_cases() -> list[GradientCase]:
-    """Steps of 1e-7: no beam may come or go. The limb's second derivatives are large, and 1e-13 m of a root is 1e-6
-    of such a step."""
+    """Return cases with steps of 1e-7, over which no beam may come or go.
+
+    The limb's second derivatives are large, and 1e-13 m of a root is 1e-6 of this step.
+    """
     cases = []
     for name, variable in (
         ("sphere", "pose"),
@@ -157,7 +159,7 @@ AT_TEN = torch.tensor([10.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 
 
 def at_the_posts_edge(side_m: float) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
-    """A beam that passes the post's edge at 0.3 m by this much: within, it meets the post, beyond, the slab."""
+    """Return the loss of a beam this far inside the post's edge at 0.3 m: inside it meets the post, else the slab."""
     y = 0.3 + side_m
     origin = torch.tensor([0.0, y, 0.0], dtype=torch.float64)
     beams = Beams.from_arrays(torch.tensor([[30.0, y, 0.0]], dtype=torch.float64), origin)
@@ -170,15 +172,15 @@ def at_the_posts_edge(side_m: float) -> Callable[[Tensor], tuple[Tensor, Tensor]
 
 
 def discontinuous_cases() -> list[GradientCase]:
-    """Steps shorter than the way to the jump."""
+    """Return cases with steps shorter than the distance to the jump."""
     cases = []
     for side_m in (-1e-4, 1e-4):
         loss = at_the_posts_edge(side_m)
         cases.append(GradientCase(f"pose, {side_m:+g} m from a jump", "discontinuous", loss, AT_TEN, 1e-6, 1e-6))
-    # Edges: a beam within a step of one has a normal of either side.
+    # Edges: a beam within a step of an edge has the normal of either side.
     draw = drawing("car", "pose", inner_beams("car"))
     cases.append(GradientCase("pose of car, edged", "discontinuous", of_points(draw), THETA, 1e-6, 1e-5))
-    # Pillars, maxima and ReLUs: smooth in pieces, with jumps where a point changes its pillar.
+    # Pillars, maxima and ReLUs: piecewise smooth, with jumps where a point changes its pillar.
     detector = TrainedDetector(random_net("pointpillars"), "float64")
     for variable in ("pose", "code"):
         draw, at = drawing("soft car", variable, inner_beams("soft car")), VARIABLES[variable]

@@ -1,7 +1,7 @@
 """The published architecture: dL/dz over all 256 numbers in some directions, dL/dtheta, in float64.
 
-A ReLU network's slope jumps where a unit switches. Step 1e-6: within a linear piece almost everywhere. Tolerance 1e-3,
-as the project promises: what the few beams make whose piece ends within a step.
+A ReLU network's slope jumps where a unit switches. A step of 1e-6 stays within a linear piece almost everywhere. The
+tolerance of 1e-3, which the project promises, covers the few beams whose piece ends within a step.
 """
 
 from collections.abc import Callable

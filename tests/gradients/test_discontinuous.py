@@ -8,7 +8,7 @@ from torch import Tensor
 from shift3d.render import Beams, render
 
 THETA = torch.tensor([10.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
-# A post at x = -0.5 before a slab at x = 0.5: beams at y just inside and just outside the post's edge.
+# A post at x = -0.5 before a slab at x = 0.5; beams at y just inside and just outside the post's edge.
 FIELD = in_frame(union(box((0.05, 0.3, 1.0), (-0.5, 0.0, 0.0)), box((0.2, 1.0, 1.0), (0.7, 0.0, 0.0))), SHAPENET_FRAME)
 
 

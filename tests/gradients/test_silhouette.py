@@ -1,4 +1,4 @@
-"""Moving silhouettes: what bounds the gradient of grazing beams, and the share that they carry."""
+"""Moving silhouettes: the bound on the gradient of grazing beams, and the share that these beams carry."""
 
 import pytest
 import torch

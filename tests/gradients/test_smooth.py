@@ -1,4 +1,4 @@
-"""A derivative by hand, and the same one from both renderers."""
+"""A derivative by hand, and the same derivative from both renderers."""
 
 import pytest
 import torch

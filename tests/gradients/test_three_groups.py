@@ -14,9 +14,9 @@ def named(cases: list[GradientCase]) -> pytest.MarkDecorator:
 def test_smooth(case: GradientCase) -> None:
     errors, extrapolated = case.errors(halvings=2)
     assert errors[0] < case.tolerance
-    # Second order: the error is the third derivative's, and nothing else's.
+    # Second order: the error is that of the third derivative alone.
     assert all(abs(order - 2.0) < 0.2 for order in observed_orders(errors)), errors
-    # And without that term what is left is of fourth order.
+    # Without that term the remaining error is of fourth order.
     assert extrapolated < errors[-1] / 20
 
 
@@ -36,7 +36,7 @@ def _error(case: GradientCase) -> float:
 
 
 def test_a_step_across_the_jump_sees_its_height_and_the_gradient_does_not() -> None:
-    """The derivative is that of the beam's own side: what a jump adds to a loss is left out, as the paper leaves it."""
+    """The derivative is that of the beam's own side: like the paper, it leaves out the contribution of a jump."""
     loss, step = at_the_posts_edge(-1e-4), 1e-3
     aside = torch.tensor([0.0, step, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
     ends = [loss(AT_TEN + sign * aside) for sign in (1.0, -1.0)]

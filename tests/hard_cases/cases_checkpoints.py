@@ -24,7 +24,7 @@ Tensors = dict[str, Any]
 
 
 def decoder_after(change: Callable[[Tensors], object], architecture: dict[str, int] | None = None) -> Decoder:
-    """The small decoder, its file's tensors (and what it says of its architecture) changed."""
+    """Load the small decoder after a change of its file's tensors, and of the architecture that the file states."""
     with place() as folder:
         write_decoder(folder)
         tensors = load_file(folder / DECODER)
@@ -47,7 +47,7 @@ def put(name: str, value: Callable[[torch.Tensor], torch.Tensor]) -> Callable[[T
 
 
 def with_first(value: float) -> Callable[[torch.Tensor], torch.Tensor]:
-    """A copy with its first value replaced."""
+    """Return a change that copies a tensor and replaces its first value."""
 
     def change(tensor: torch.Tensor) -> torch.Tensor:
         changed = tensor.clone()

@@ -19,7 +19,7 @@ HERE = "sweep mine"
 
 
 def composed(*words: str, change: Callable[[Path], object] = lambda folder: None) -> list[Config]:
-    """The small installation's sweep, composed with overrides after a change of its files."""
+    """Compose the small installation's sweep with overrides, after a change of its files."""
     with place() as folder:
         write_installation(folder)
         change(folder)
@@ -32,7 +32,7 @@ def accuracy(**render: bool | int | float | str) -> object:
 
 
 def put(name: str, value: object) -> dict[str, object]:
-    """Complete settings with one of them replaced."""
+    """Return complete settings with one of them replaced."""
     values = settings()
     *parents, leaf = name.split(".")
     inner = values

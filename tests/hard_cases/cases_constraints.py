@@ -1,4 +1,4 @@
-"""Hard cases of the constraints and of placement: limits met exactly, no ground, no number."""
+"""Hard cases of the constraints and of placement: limits met exactly, no ground, NaN."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ FRAME = Frame((4.0, 1.8, 1.4))
 SETTINGS = preset("standard").with_(dtype=torch.float64, sdf_grid=False)
 CODE = torch.zeros(6, dtype=torch.float64)
 LOW = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
-EXACT = Constraints(overlap_m=2.0**-6, contact_m=2.0**-6)  # distances to such limits are exact in floating point
+EXACT = Constraints(overlap_m=2.0**-6, contact_m=2.0**-6)  # distances to these limits are exact in floating point
 
 
 def held(field: Field, *points: tuple[float, float, float], limits: Constraints = EXACT) -> ConstraintCheck:
-    """An object at the origin, 4 x 1.8 x 1.5 m, held against scene points."""
+    """Check an object of 4 x 1.8 x 1.5 m at the origin against scene points."""
     size, pose = torch.tensor([4.0, 1.8, 1.5], dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
     metric = ObjectField.of(field, FRAME, torch.float64, 4096)
     return check(metric, torch.tensor(points, dtype=torch.float64).reshape(-1, 3), pose, size, 300, limits)
@@ -221,7 +221,7 @@ def the_road_between_two_scan_lines() -> None:
     assert depth_m(sunk) > 0.1 and 0.02 < depth_m(on_road) < 0.07
     assert held_by(only_points, sunk).valid and not held_by(with_ground, sunk).overlap_ok
     assert held_by(with_ground, on_road).valid
-    off_ground = start + torch.tensor([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # no ground near: the returns alone
+    off_ground = start + torch.tensor([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # no ground near: returns alone decide
     for theta in (off_ground, torch.full_like(start, torch.nan)):
         assert torch.equal(with_ground.obstacles_at(theta), with_ground.points_near())
 
@@ -276,7 +276,7 @@ def a_neighbour_at_exactly_the_clear_distance() -> None:
     here = torch.tensor([10.0, -2.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
     at = torch.tensor([[13.0, 2.0]], dtype=torch.float64)  # 3, 4, 5: exact
     assert not is_clear(here, at, 5.0) and is_clear(here, at, math.nextafter(5.0, 0.0))
-    assert not is_clear(here, torch.full((1, 2), math.nan), 5.0)  # a neighbour nobody knows the place of
+    assert not is_clear(here, torch.full((1, 2), math.nan), 5.0)  # a neighbour at an unknown place
     assert is_clear(here, None, 5.0) and is_clear(here, at[:0], 5.0)
 
 

@@ -29,7 +29,7 @@ SMALL = TransformerSpec(width=16, heads=2, feed_forward=32, blocks=1, window=4, 
 
 
 def refusal(call: object, *arguments: object) -> str:
-    """The InputError of a call, as text."""
+    """Return the text of a call's InputError."""
     try:
         call(*arguments)  # type: ignore[operator]
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Hard cases of effects: what scenes and settings say, returns of one beam, no-return beams, cones, far points."""
+"""Hard cases of effects: data of scenes and settings, single-beam returns, no-return beams, cones, far points."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def an_impact_that_is_not_a_number() -> None:
 
 
 def stopped(scene: Scene) -> list[bool]:
-    """Which rows of a scene come back, where the object stands in front of all of them."""
+    """Return which rows of a scene return when the object is in front of all of them."""
     _, returns = on_object(scene, Conditions(), None)
     step: Any = effect_named("second_returns").bind(EffectContext(scene, Beams.from_scene(scene), BALL, 3))
     found: list[bool] = step(returns).returned.tolist()
@@ -143,7 +143,7 @@ def one_pixel_of_two_sensors() -> None:
 
 
 def with_no_return(directions: np.ndarray, **parts: Any) -> Scene:
-    """One point 40 m ahead, and beams from the origin that brought nothing back."""
+    """Return a scene of one point 40 m ahead and beams from the origin without a return."""
     unit = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     return scene_of([[40.0, 0.0, 0.0]], no_return=NoReturnBeams(np.zeros_like(unit), unit), **parts)
 

@@ -18,7 +18,7 @@ AREA = "evaluation"
 
 
 def cars(*x_m: float, heading: float = 0.0) -> np.ndarray:
-    """(N, 7) cars in a row along x."""
+    """Return (N, 7) cars in a row along x."""
     return np.array([[x, 0.0, 0.8, 4.0, 2.0, 1.6, heading] for x in x_m]).reshape(-1, 7)
 
 
@@ -32,7 +32,7 @@ def frame(truth: np.ndarray, found: np.ndarray, *scores: float, points: int = 20
 
 
 def curve_of(*frames: DetectedFrame, at_40_recalls: bool = False) -> PrecisionRecall:
-    """The greedy curve where every vehicle and every detection counts."""
+    """Return the greedy curve in which every vehicle and every detection counts."""
     matches = [
         match_frame(compare(one, "BEV"), np.ones(len(one.truth.boxes), bool), np.ones(len(one.found.boxes), bool), 0.5)
         for one in frames
@@ -193,4 +193,4 @@ def a_vehicle_without_a_point() -> None:
     hidden = frame(cars(10.0), cars(10.0), 0.9, points=0)
     curve = waymo_curve([assign(compare(hidden, "3D"), 0.5, 0.0, 75.0)], "LEVEL_2")
     assert curve.average_precision is None and curve.num_truth == 0
-    assert not curve.recall.any()  # nor is the box there right about anything
+    assert not curve.recall.any()  # the box there is no true positive either

@@ -19,7 +19,7 @@ WEIGHTS, CODES, SPECS = "ModelParameters/latest.pth", "LatentCodes/latest.pth", 
 
 
 def experiment_after(part: str, change: Callable[[Any], object]) -> Any:
-    """The small experiment after a change of one of its three files, given as bytes or as its content."""
+    """Load the small experiment after a change of one of its three files, given as bytes or as its content."""
     with place() as folder:
         write_experiment(folder, next(iter(NETWORKS)))
         path = folder / part

@@ -1,4 +1,4 @@
-"""Gradient: beams that graze, slopes of zero, roots that are polished on the way, poses at the ends of their angles."""
+"""Gradient: grazing beams, slopes of zero, roots polished by a last step, poses at the limits of their angles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPHERE = sphere(1.0)
 def descended(
     beams: Beams, metric: Field, theta: Tensor = AT_TEN, settings: RenderSettings = FAST
 ) -> tuple[Rendering, Tensor]:
-    """A rendering and the gradient of the sum of its coordinates w.r.t. the pose."""
+    """Return a rendering and the gradient of the sum of its coordinates with respect to the pose."""
     theta = theta.detach().clone().requires_grad_()
     rendering = draw(beams, metric, theta, settings, frame=PLAIN)
     rendering.points.sum().backward()
@@ -190,7 +190,7 @@ def a_heading_at_the_wrap() -> None:
 
 
 def _agrees(gradient: Tensor, beams: Beams, theta: Tensor, settings: RenderSettings, step: float = 1e-6) -> None:
-    """The gradient is that of a full re-render, to 1e-5 of the length of that."""
+    """Check that the gradient is that of a full re-rendering, to 1e-5 of its length."""
     differences = torch.zeros(6, dtype=torch.float64)
     for i in range(6):
         moved = [theta.clone() for _ in range(2)]

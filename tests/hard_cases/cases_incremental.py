@@ -1,4 +1,4 @@
-"""Hard cases of incremental inference: from frame to frame it must give what the whole scene gives."""
+"""Hard cases of incremental inference: after any sequence of frames it must equal inference on the whole scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ AREA = "detector"
 
 
 def same_frames(*clouds: Tensor, name: str = "pointpillars", requires_grad: Tensor | None = None) -> None:
-    """Incremental inference through these frames gives what the whole last one gives."""
+    """Check that incremental inference through these frames gives the result of the whole last frame."""
     incremental = detector(name=name).incremental(window(name))
     for cloud in clouds[:-1]:
         incremental.proposals(cloud)
@@ -151,7 +151,7 @@ def a_token_changes_where_nobody_looks() -> None:
     points = torch.cat((cluster(600, size_m=1.0) + torch.tensor([1.0, 0.0, 0.0]), cluster(900, size_m=24.0)))
     moved = shifted(points, slice(0, 600), 0.3, 0.4, 0.1)
     incremental.proposals(points, there)
-    for _ in range(2):  # the second look here finds nothing new, and must forget nothing either
+    for _ in range(2):  # the second call at this place finds no change, and must not forget anything
         incremental.proposals(moved, here)
     found, fresh = incremental.proposals(moved, there), sst.proposals(moved, there)
     assert float((fresh.logits - sst.proposals(points, there).logits).abs().max()) > 1e-4

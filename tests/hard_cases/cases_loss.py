@@ -1,4 +1,4 @@
-"""Hard cases of the loss: saturated scores, proposals without a number, and no proposal at all."""
+"""Hard cases of the loss: saturated scores, proposals that are NaN, and no proposal at all."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CAR = np.array([20.0, 0.0, 0.8, 4.0, 2.0, 1.6, 0.3])
 
 
 def proposals(boxes: np.ndarray, *logits: float) -> Proposals:
-    """Proposals with these boxes (A, 7) and float32 logits that carry a gradient."""
+    """Return proposals with these boxes (A, 7) and float32 logits that carry a gradient."""
     leaf = torch.tensor(logits, dtype=torch.float32, requires_grad=True)
     return Proposals(
         torch.from_numpy(np.asarray(boxes, dtype=np.float32).reshape(-1, 7)), leaf, torch.arange(len(leaf))
@@ -24,7 +24,7 @@ def proposals(boxes: np.ndarray, *logits: float) -> Proposals:
 
 
 def moved(x_m: float) -> np.ndarray:
-    """The car's box, further along x."""
+    """Return the car's box, moved along x."""
     return CAR + np.array([x_m, 0, 0, 0, 0, 0, 0])
 
 

@@ -1,4 +1,4 @@
-"""Hard cases of oriented boxes and of their overlap."""
+"""Hard cases of oriented boxes and their overlap."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ def more_points_than_a_batch() -> None:
 
 
 def _refusing_more_than(count: int) -> Callable[[Tensor], Tensor]:
-    """The car, for so many points at once."""
+    """Return the car's field, which accepts at most `count` points per call."""
 
     def g(x: Tensor) -> Tensor:
         assert len(x) <= count, "more points than a batch"

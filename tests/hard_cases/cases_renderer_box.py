@@ -1,4 +1,4 @@
-"""Renderer: sensors, returns and surfaces where the box of the object does not expect them, shapes that left it."""
+"""Renderer: sensors, returns and surfaces where the object's box does not expect them, shapes outside the box."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from shift3d.render import Beams
     guard="a component below 1e-12 is never divided by",
 )
 def beams_parallel_to_the_faces_of_the_box() -> None:
-    # The checked box ends at y = 0.9375 exactly; a fin stands out there, between two of the places that are checked.
+    # The checked box ends at y = 0.9375 exactly; a fin reaches past it between two check points.
     frame = replace(PLAIN, size_m=(4.4, 1.75, 1.5))
     fin = union(box((2.0, 0.85, 0.7)), box((0.04, 1.0, 0.04), (0.098, 0.0, 0.0)))
     margin = FAST.with_(box_margin_m=0.0625)

@@ -1,4 +1,4 @@
-"""Renderer: traversal of a network's linear regions: bounds that do not hold, regions of no length."""
+"""Renderer: traversal of a network's linear regions: bounds that are violated, regions of no length."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from shift3d.render import Beams, Rendering, preset, render
 EXACT = preset("reference")
 UNIT = PLAIN.scale_m
 START = -8.0
-"""Where every profile is `level`: outside the decoder's ball, and behind the sensor."""
+"""Place at which every profile is `level`: outside the decoder's ball, and behind the sensor."""
 
 
 def traverse(line: BentLine, beams: Beams, max_slope: float = EXACT.max_slope) -> Rendering:
-    """The reference rendering of a profile whose origin stands at x = 10."""
+    """Return the reference rendering of a profile whose origin is at x = 10."""
     with torch.no_grad():
         return render(beams, line, AT_TEN, PLAIN, EXACT.with_(max_slope=max_slope))
 
 
 def plate(steepness: float, at: float = 0.2, half: float = 0.002) -> BentLine:
-    """|x - at| - half, sdf units, times a steepness; in the middle of its slope one unit switches without effect."""
+    """Return steepness (|x - at| - half), sdf units; in mid-slope one unit switches without effect."""
     return BentLine(steepness * (at - START - half), [(START, -steepness), (-0.5, 0.0), (at, 2.0 * steepness)])
 
 
@@ -46,7 +46,7 @@ def a_bound_that_does_not_hold_from_the_start() -> None:
     guard="a step over which g fell by more than the bound allows is taken back and traversed",
 )
 def a_bound_that_fails_on_the_way() -> None:
-    # 0.2 up to the plate, down to -0.01 and up to 0.01 within 0.03 units, flat behind it.
+    # 0.2 up to the plate, down to -0.01 and up to 0.01 within 0.03 units, flat behind the plate.
     bends = [(0.2, -14.0), (0.215, 14.0), (0.215, 4.0), (0.22, -4.0)]
     for count in (1, MANY):
         line = BentLine(0.2, bends)
@@ -60,7 +60,7 @@ def a_bound_that_fails_on_the_way() -> None:
     guard="a beam that turned negative in one step is traversed again from its sensor",
 )
 def a_surface_before_the_box_of_the_decoder() -> None:
-    # The surface lies at x = -1.2 units, outside the ball of 1.05 in which shapes are looked for.
+    # The surface is at x = -1.2 units, outside the ball of 1.05 in which the renderer searches for shapes.
     for count in (1, MANY):
         hit_at(traverse(BentLine(-1.2 - START, [(START, -1.0)]), beams_along_x(count=count)), 10.0 - UNIT * 1.2, 1e-8)
 

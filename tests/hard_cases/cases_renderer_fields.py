@@ -1,4 +1,4 @@
-"""Renderer: fields that are not numbers, roots that resist, values that a dtype cannot tell apart."""
+"""Renderer: fields that are NaN, roots that resist, values that a dtype cannot distinguish."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ SOLVERS = {**PRESETS, "plain": FAST.with_(solver="plain_sphere_tracing")}
 
 
 def _where(broken: Field, value: float) -> Field:
-    """A unit sphere whose field is `value` where `broken` is negative."""
+    """Return the field of a unit sphere that is `value` where `broken` is negative."""
     return lambda x: torch.where(broken(x) < 0, value, SURFACE(x))
 
 
 def _lost(metric: Field, space: bool = False, names: tuple[str, ...] = tuple(SOLVERS)) -> None:
-    """Beams at the middle of a shape are all counted as unresolved, whatever the solver, and none is moved."""
+    """Check that beams at the middle of a shape are all counted as unresolved by every solver, and none is moved."""
     for name in names:
         for count in (FEW, MANY):
             beams = beams_along_x(count=count)
@@ -81,7 +81,7 @@ def a_field_of_infinities() -> None:
 )
 def nan_ahead_of_the_last_few_beams() -> None:
     _lost(_where(SURFACE, math.nan), names=("standard", "reference", "plain"))
-    # A NaN behind the surface is no beam's business.
+    # A NaN behind the surface affects no beam.
     behind = _where(box((0.2, 1.0, 1.0), (0.3, 0.0, 0.0)), math.nan)
     for settings in SOLVERS.values():
         for count in (FEW, MANY):
@@ -115,7 +115,7 @@ def nan_in_a_bracket_of_the_plain_solvers() -> None:
     guard="a flat bracket with a value that is not finite before its crossing is no bracket",
 )
 def nan_in_a_flat_bracket() -> None:
-    # g falls by 0.1 a metre: every bracket is flat. The NaN lies in the middle of one, where no root search looks.
+    # g falls by 0.1 per metre: every bracket is flat. The NaN is in the middle of one, where no root search evaluates.
     for end in (0.8966, 1.1407, 1.6017):
 
         def ramp(x: Tensor, end: float = end) -> Tensor:
@@ -145,7 +145,7 @@ def nan_in_the_map() -> None:
     guard="an error that is not a number is taken as infinite",
 )
 def nan_where_the_map_is_checked() -> None:
-    # A NaN shell thinner than the lattice, on the surface: no lattice point shows it, checks between them do.
+    # A NaN shell thinner than the lattice, on the surface: no lattice point shows it, checks between lattice points do.
     shell = lambda x: torch.where(SURFACE(x).abs() < 0.002, math.nan, SURFACE(x))  # noqa: E731
     space = SdfGrid.of(in_plain(shell), PLAIN, FAST)
     assert space.error_m == math.inf
@@ -262,7 +262,7 @@ def a_coarse_value_next_to_the_surface() -> None:
         along = torch.linspace(-2.4, 2.4, 240, dtype=torch.float64)
         x = torch.stack((along, torch.full_like(along, 0.3), torch.full_like(along, -0.1)), 1)
         coarse = ObjectField.of(sdf, vehicle, torch.float32, 4096, bfloat16_band_m=0.02)
-        # Whether this processor is fast at it or not.
+        # Also on a processor that is slow in bfloat16.
         vars(sdf)["rough"] = Bfloat16Field(sdf.weights, sdf.biases, sdf.skip_layer)
         estimate, exact = coarse.estimate(x), fine(x)
         assert coarse.count.coarse > 0, "some are coarse"

@@ -1,4 +1,4 @@
-"""Renderer: the SDF grid: what is thinner than its cells, and what it does not know."""
+"""Renderer: the SDF grid: shapes thinner than its cells, and places of which it holds no value."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from shift3d.render import Beams, SdfGrid
 
 
 def mapped(beams: Beams, metric: Field):  # type: ignore[no-untyped-def]
-    """A rendering with a map of the very field, and the map."""
+    """Return a rendering with a grid of exactly this field, and the grid."""
     space = SdfGrid.of(in_plain(metric), PLAIN, FAST)
     return draw(beams, metric, space=space, frame=PLAIN), space
 
 
 def spread(count: int = 6) -> Beams:
-    """Beams from the origin to x = 30, up to 0.5 m to either side."""
+    """Return beams from the origin to x = 30, up to 0.5 m to either side."""
     y = np.random.default_rng(1).uniform(-0.5, 0.5, count)
     return Beams.from_arrays(np.stack([np.full(count, 30.0), y, 0.3 * y], 1), np.zeros(3))
 
 
 def first_face(beams: Beams, x: float, found: torch.Tensor) -> None:
-    """Every beam is hit where it meets the plane at this x."""
+    """Check that every beam hits where it meets the plane at this x."""
     assert float((found * beams.directions[:, 0] - x).abs().max()) < 1e-4
 
 

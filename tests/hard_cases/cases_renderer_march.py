@@ -1,4 +1,4 @@
-"""Renderer: what lies between two samples of a march: thin, flat and steep surfaces."""
+"""Renderer: surfaces between two samples of a march: thin, flat and steep."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def a_steep_field_before_the_last_few_beams() -> None:
     guard="where the first is uncovered the next is as much shorter as the field is steeper",
 )
 def a_first_step_that_is_not_covered() -> None:
-    # Flat as far as the beam has come, then a cliff: the first sample ahead is steeper than all before.
+    # Flat up to the last sample, then a cliff: the first sample ahead is steeper than all before.
     def cliff(x: Tensor) -> Tensor:
         return torch.minimum(torch.full_like(x[:, 0], 0.3), 6.0 * (1.0 - x[:, 0])).clamp_max(0.3)
 
@@ -205,7 +205,7 @@ def a_field_steeper_than_a_distance() -> None:
 
 
 def _limb() -> tuple[Beams, Tensor]:
-    """Beams in +x with chords of 0.5 to 20 mm through a unit sphere, and where they enter it when it is at x = 10."""
+    """Return beams in +x with chords of 0.5 to 20 mm through a unit sphere at x = 10, and their entry ranges."""
     chord = np.linspace(0.0005, 0.02, 200)
     y = np.sqrt(1.0 - (chord / 2) ** 2)
     zero = np.zeros(200)
@@ -214,10 +214,10 @@ def _limb() -> tuple[Beams, Tensor]:
 
 
 def _plate(x: float) -> Field:
-    """A plate 2 cm thick square to the beam."""
+    """Return a plate 2 cm thick, perpendicular to the beam."""
     return box((0.01, 0.5, 0.5), (x, 0.0, 0.0))
 
 
 def _post(x: float, radius_m: float) -> Field:
-    """An upright post on the beam's way."""
+    """Return an upright post in the beam's path."""
     return lambda p: torch.hypot(p[:, 0] - x, p[:, 1]) - radius_m

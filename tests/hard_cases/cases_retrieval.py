@@ -1,4 +1,4 @@
-"""Hard cases of crops: beams that start where no beam should."""
+"""Hard cases of crops: a sensor inside a labelled box."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AREA = "retrieval"
 def a_sensor_inside_a_labelled_box() -> None:
     box = np.array([0.3, 0.1, 0.0, 4.5, 1.8, 1.5, 0.3])
     azimuth = np.linspace(-1.0, 1.0, 60)
-    aims = np.stack((np.cos(azimuth), np.sin(azimuth), 0.1 * np.sin(7.0 * azimuth)), axis=1)  # nothing is seen behind
+    aims = np.stack((np.cos(azimuth), np.sin(azimuth), 0.1 * np.sin(7.0 * azimuth)), axis=1)  # nothing visible behind
     aims /= np.linalg.norm(aims, axis=1, keepdims=True)
     points = (aims * np.tile((0.5, 1.5, 20.0), 20)[:, None]).astype(np.float32)
     labels = Labels(box[None], ("vehicle",), np.array([40], np.int32))

@@ -19,7 +19,7 @@ CAR = LABELS.splitlines()[0]
 
 
 def load(change: Callable[[Path], object]) -> Scene:
-    """The small frame after a change of its training/ folder."""
+    """Load the small frame after a change of its training/ folder."""
     with place() as root:
         write_frame(root)
         change(root / "training")
@@ -35,7 +35,7 @@ def with_labels(text: str) -> Callable[[Path], object]:
 
 
 def with_matrix(key: str, matrix: np.ndarray | None) -> Callable[[Path], object]:
-    """The calibration with one of its lines replaced, or left out."""
+    """Return a change that replaces or removes one line of the calibration."""
 
     def change(folder: Path) -> None:
         matrices = CALIBRATION | ({key: matrix} if matrix is not None else {})
@@ -107,7 +107,7 @@ def a_return_from_beyond_the_horizon() -> None:
 def returns_at_zero_range() -> None:
     points = some_points()
     points[[0, 5, 299], :3] = 0.0
-    points[6, :3] = (1e-42, 0.0, 0.0)  # hardly a range, and still a direction
+    points[6, :3] = (1e-42, 0.0, 0.0)  # a range near 0, and still a direction
     scene = load(with_points(points))
     assert np.flatnonzero(~scene.has_beam).tolist() == [0, 5, 299]
     assert np.array_equal(scene.points, points[:, :3])

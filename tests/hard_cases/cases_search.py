@@ -1,4 +1,4 @@
-"""Hard cases of the search: steps, losses and gradients without a number, and nothing to attack."""
+"""Hard cases of the search: NaN in steps, losses and gradients, and nothing to attack."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ THETA = torch.tensor([10.0, 0.0, -1.04, 0.3, 0.0, 0.0], dtype=torch.float64)
 
 @cache
 def problem(min_object_points: int = 50) -> AttackProblem:
-    """A small car on flat ground 10 m ahead, before a detector of waves."""
+    """Return the attack on a small car on flat ground 10 m ahead, with the wave detector."""
     points, origin = ground_scan(rings=40, columns=480)
     beams = Beams.from_arrays(points[np.hypot(points[:, 0] - 10.0, points[:, 1]) < 5.0], origin)
     rules = Constraints(min_object_points=min_object_points)
@@ -54,10 +54,10 @@ def an_object_wholly_occluded() -> None:
     side = np.linspace(-4.0, 4.0, 40)
     y, z = (axis.reshape(-1) for axis in np.meshgrid(side, side))
     wall = np.stack((np.full_like(y, 5.0), y, z), axis=1)
-    under = np.array([[10.0, 0.0, -1.73], [10.2, 0.1, -1.73], [9.8, -0.1, -1.73]])  # seen by a sensor in the ground
+    under = np.array([[10.0, 0.0, -1.73], [10.2, 0.1, -1.73], [9.8, -0.1, -1.73]])  # for a sensor in the ground
     origins = np.concatenate((np.zeros_like(wall), under - np.array([0.0, 0.0, 1e-3])))
     beams = Beams.from_arrays(np.concatenate((wall, under)), origins)
-    start = THETA + torch.tensor([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])  # 1 cm above these
+    start = THETA + torch.tensor([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])  # 1 cm above these points
     hidden = replace(problem(1), beams=beams, theta0=start, _near=[])
     shape = attack_shape(hidden, 1.0, steps=2, snap_m=0.0)
     pose = attack_pose(hidden, steps=2, limits=PoseLimits(snap_m=0.0))
@@ -68,7 +68,7 @@ def an_object_wholly_occluded() -> None:
 
 
 class SquareRootDetector(WaveDetector):
-    """Its logits hold the square root of a zero: they are finite, and their gradient is not."""
+    """Detector with the square root of a zero in its logits: they are finite, their gradient is not."""
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
         found = super().proposals(points, window)
@@ -90,7 +90,7 @@ def a_gradient_that_is_no_number() -> None:
 
 
 class ForgetfulDetector(WaveDetector):
-    """Has no numbers any more after its first answer."""
+    """Detector that returns NaN after its first answer."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -117,7 +117,7 @@ def a_loss_that_is_no_number() -> None:
 
 
 class StumblingDetector(WaveDetector):
-    """Adds something to the logits of its fifth answer."""
+    """Detector that adds a value to the logits of its fifth answer."""
 
     def __init__(self, added: float) -> None:
         super().__init__()
@@ -190,7 +190,7 @@ def no_lambda_and_a_huge_step() -> None:
 
 
 class WatchingDetector(WaveDetector):
-    """Remembers where it was asked to look."""
+    """Detector that remembers the windows for which it was called."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -210,7 +210,7 @@ class WatchingDetector(WaveDetector):
 def a_step_of_a_million_metres() -> None:
     watching = WatchingDetector()
     result = attack_pose(replace(problem(), detector=watching, _near=[]), alpha=1e6, steps=2)
-    assert len(watching.centres) == 4  # of the window that is followed, and of every step
+    assert len(watching.centres) == 4  # one of the window of incremental inference, one of every step
     assert max(math.dist(centre, THETA[:2].tolist()) for centre in watching.centres) <= 4.0 + 1e-9
     assert math.dist(watching.centres[-1], THETA[:2].tolist()) > 3.9
     assert all(math.isfinite(record.loss) for record in result.trace)
@@ -230,7 +230,7 @@ def a_step_whose_square_overflows() -> None:
 
 
 def nothing(x: Tensor) -> Tensor:
-    """A field that is positive everywhere: what a code far off the prior may draw."""
+    """Return a field that is positive everywhere, like that of a code far off the prior."""
     return 3.0 + 0.1 * x.square().sum(-1).sqrt()
 
 

@@ -1,4 +1,4 @@
-"""Hard cases of a sweep's statistics: scores that are equal but for rounding."""
+"""Hard cases of a sweep's statistics: scores that are equal except for rounding."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AREA = "statistics"
 
 
 def tasks(*scores: dict[str, list[float]]) -> pd.DataFrame:
-    """A task in a scene of its own for each of the scores by method, several of one method its replicates."""
+    """Make a task in its own scene for each item of scores by method; several scores of a method are its replicates."""
     return pd.DataFrame(
         {"task_id": f"task {number}", "place": f"scene {number}", "method": method, "score": score}
         for number, methods in enumerate(scores)

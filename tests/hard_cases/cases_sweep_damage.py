@@ -1,4 +1,4 @@
-"""Hard cases of a sweep's folder whose files can be read, and were changed."""
+"""Hard cases of a sweep's folder whose files can be read but were changed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def final_after(change: Callable[[Path], object]) -> None:
 
 
 def parquet_with(name: str, column: str, value: object) -> Callable[[Path], None]:
-    """The scores with one column's first value replaced, whatever the schema says."""
+    """Return a change that replaces the first value of a column of the scores, whatever the schema says."""
 
     def change(folder: Path) -> None:
         import pyarrow as pa
@@ -62,7 +62,7 @@ def a_flipped_bit_in_a_score() -> None:
                 table = read_table(path, "scores")
             except InputError as error:
                 assert SCORES in str(error)
-            else:  # what the flipped bit was part of is not read: a page's statistics
+            else:  # the flipped bit is in a part that is not read: a page's statistics
                 assert table.equals(before), f"byte {at} is read as another value"
 
 

@@ -1,4 +1,4 @@
-"""Hard cases of a sweep's own folder: what was planned, the commit log, the segments."""
+"""Hard cases of a sweep's own folder: plan, commit log, segments."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SCORES, TIMINGS = (f"data/00000001-{DRIVER}-{name}.parquet" for name in ("scores
 
 
 def finished(change: Callable[[Path], object]) -> FinalTables:
-    """The final tables of a finished sweep of two tasks, after a change of its folder."""
+    """Return the final tables of a finished sweep of two tasks, after a change of its folder."""
     with place() as folder:
         write_sweep(folder)
         change(folder)
@@ -34,7 +34,7 @@ def finished(change: Callable[[Path], object]) -> FinalTables:
 
 
 def in_entry(**values: object) -> Callable[[Path], object]:
-    """Values of the second log entry replaced."""
+    """Return a change that replaces values of the second log entry."""
 
     def change(folder: Path) -> None:
         path = folder / SECOND

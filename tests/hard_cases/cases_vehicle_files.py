@@ -39,7 +39,7 @@ def read(content: bytes | str, name: str = "car.ply") -> trimesh.Trimesh:
 
 
 def with_facts(change: Callable[[dict[str, Any], dict[str, np.ndarray]], object]) -> dict[str, Vehicle]:
-    """The vehicles of a small set after a change of one's facts or of the tensors."""
+    """Return the vehicles of a small set after a change of one vehicle's facts or of the tensors."""
     with place() as folder:
         write_vehicles(folder)
         from safetensors import safe_open

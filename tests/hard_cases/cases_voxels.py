@@ -23,7 +23,7 @@ NAN, INF = float("nan"), float("inf")
 
 @cache
 def detector(precision: str = "float64", name: str = "pointpillars") -> TrainedDetector:
-    """A slim network with random weights."""
+    """Return a slim network with random weights."""
     return TrainedDetector(random_net(name), precision)  # type: ignore[arg-type]
 
 
@@ -32,7 +32,7 @@ def window(name: str = "pointpillars") -> BevWindow:
 
 
 def cluster(count: int = 400, size_m: float = 4.0, seed: int = 0) -> Tensor:
-    """(count, 3) float64 points around CENTRE, from the ground to 1.5 m."""
+    """Return (count, 3) float64 points around CENTRE, from the ground to 1.5 m."""
     unit = torch.rand(count, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     return (
         unit * torch.tensor([size_m, size_m, 1.5]) + torch.tensor([*CENTRE, 0.0]) - size_m / 2 * torch.tensor([1, 1, 0])
@@ -40,7 +40,7 @@ def cluster(count: int = 400, size_m: float = 4.0, seed: int = 0) -> Tensor:
 
 
 def seen(points: Tensor, name: str = "pointpillars") -> tuple[Tensor, Tensor]:
-    """Logits of the window around CENTRE, and the gradient of their sum at the points."""
+    """Return logits of the window around CENTRE, and the gradient of their sum at the points."""
     leaf = points.detach().clone().requires_grad_()
     found = detector(name=name).proposals(leaf, window(name))
     gradient = (
@@ -64,7 +64,7 @@ def a_point_on_a_pillars_edge() -> None:
     found = np.empty(len(x), dtype=int)
     found[pillars.order.numpy()] = pillars.cell_x[pillars.pillar].numpy()
     places = [(Fraction(float(value)) + Fraction("74.88")) / Fraction("0.32") for value in x]
-    sure = np.abs([float(place - round(place)) for place in places]) > 1e-12  # 1e-45 m is 0 to float64, too
+    sure = np.abs([float(place - round(place)) for place in places]) > 1e-12  # float64 adds 1e-45 m to nothing, too
     assert sure.sum() >= len(x) - 2
     assert found[sure].tolist() == [
         place.numerator // place.denominator for place, checked in zip(places, sure) if checked
@@ -102,7 +102,7 @@ def a_point_just_beyond_the_grid() -> None:
 )
 def four_hundred_points_in_one_pillar() -> None:
     points = cluster(size_m=0.1)
-    points[-1, 2] = 3.0  # stands out: some channel's maximum is its
+    points[-1, 2] = 3.0  # stands out: it is some channel's maximum
     pillars = assign_pillars(points, WAYMO_GRID, window())
     assert pillars.counts.tolist() == [400]
     _, gradient = seen(points)
@@ -134,7 +134,7 @@ def the_points_in_another_order() -> None:
 def two_points_hold_a_pillars_maximum() -> None:
     torch.manual_seed(0)
     net = PillarNet(16).eval()
-    net.linear.weight.data.mul_(64).round_()  # sums of few bits: a tie is a tie
+    net.linear.weight.data.mul_(64).round_()  # sums of few bits: ties are exact
     net.feature_scale.fill_(1.0)
 
     def gradient(rows: list[list[float]]) -> Tensor:

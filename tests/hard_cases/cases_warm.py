@@ -1,4 +1,4 @@
-"""Renderer: starting from an earlier rendering: what moved away, came up, came near, or was never the same."""
+"""Renderer: warm starts: parts that moved away, came up, came near, or were never the same."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ SPHERE, SLAB = sphere(1.0), box((0.2, 1.0, 0.5), (0.6, 0.0, 0.0))
 
 
 def beams_at(*lateral_m: float) -> Beams:
-    """Beams in +x at some y."""
+    """Return beams in +x at these y."""
     y, zero = np.asarray(lateral_m), np.zeros(len(lateral_m))
     return Beams.from_arrays(np.stack([zero + 30.0, y, zero], 1), np.stack([zero, y, zero], 1))
 
 
 def again(beams: Beams, metric: Field, before: Rendering, theta: Tensor = AT_TEN) -> Rendering:
-    """A rendering that starts from another, asked for a gradient as in an attack."""
+    """Render from another rendering, with a gradient as in an attack."""
     return draw(beams, metric, theta.clone().requires_grad_(), warm=before.warm, frame=PLAIN)
 
 
 def as_cold(found: Rendering, beams: Beams, metric: Field, theta: Tensor = AT_TEN, tolerance_m: float = 1e-4) -> None:
-    """What a rendering found is what a fresh search finds."""
+    """Check that a rendering equals that of a cold search."""
     cold = draw(beams, metric, theta, frame=PLAIN)
     assert found.hit_mask.tolist() == cold.hit_mask.tolist()
     assert float((found.range_m.detach() - cold.range_m).abs().max()) <= tolerance_m
@@ -245,9 +245,9 @@ def a_followed_hit_without_a_gradient() -> None:
 
 
 def fins(*steps: tuple[float, float]) -> None:
-    """A fin on a car's side grows through the side of its box, between a beam along that side and what it hits.
+    """Check a fin on a car's side that grows through the side of the box, between a beam along that side and its hit.
 
-    steps: half of the fin's thickness, and how far out it reaches; the box at first reaches 0.95, the beam passes over
+    steps: half of the fin's thickness, and how far out it reaches. The box at first reaches 0.95; the beam passes over
     the fin at 1.0 and then hits the plate behind it.
     """
 
@@ -255,7 +255,7 @@ def fins(*steps: tuple[float, float]) -> None:
         fin = box((thick, tip / 2, 0.3), (-0.5, tip / 2, 0.0))
         return union(box((1.7, 0.3, 0.4)), fin, box((0.1, 0.47, 0.3), (1.5, 0.46, 0.0)))
 
-    # The first along the side, the second into the fin: what moves there says that things move.
+    # The first beam runs along the side, the second into the fin: its movement shows that things move.
     ends, starts = np.array([[12.0, 0.88, 0.0], [12.0, 0.55, 0.0]]), np.array([[0.0, 1.48, 0.0], [0.0, 0.55, 0.0]])
     beams, frame = Beams.from_arrays(ends, starts), Frame(size_m=(3.6, 1.8, 0.9), scale_m=2.5)
     found = draw(beams, metric(0.15, 0.9), frame=frame)

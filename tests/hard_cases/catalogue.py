@@ -1,8 +1,8 @@
-"""The catalogue of hard cases: what each one is, why it is hard, what must come out, and the safeguard it stands on.
+"""Catalogue of hard cases: name, why the case is hard, what must come out, and the safeguard that ensures it.
 
-A case is a function that builds its context and asserts what must hold. It knows the package by what it calls, not
-by its source text. `make mutants` shows that the cases need the code: it breaks the code in seeded places and counts
-the breaks that a test notices.
+A case is a function that builds its context and asserts what must hold. A case calls the package and does not read its
+source text. `make mutants` shows that the cases need the code: it breaks the code in seeded places and counts the
+breaks that a test notices.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ CASES: dict[str, HardCase] = {}
 
 
 def hard_case(*, area: str, why: str, must: str, guard: str) -> Callable[[Callable[[], None]], Callable[[], None]]:
-    """Put a function without arguments into the catalogue, under its own name in words."""
+    """Add a function without arguments to the catalogue, with its own name in words."""
 
     def add(check: Callable[[], None]) -> Callable[[], None]:
         name = check.__name__.replace("_", " ")
@@ -69,12 +69,12 @@ def hard_case(*, area: str, why: str, must: str, guard: str) -> Callable[[Callab
 
 
 class TooLongError(AssertionError):
-    """A case did not end: a search without an end is one way to fail."""
+    """A case did not end in time: an endless search is one kind of failure."""
 
 
 @contextlib.contextmanager
 def patience(seconds: float = _PATIENCE_S) -> Iterator[None]:
-    """Raise TooLongError where the body does not end in time."""
+    """Raise TooLongError if the body does not end in time."""
 
     def ring(number: int, frame: FrameType | None) -> None:
         raise TooLongError(f"not done after {seconds:.0f} s")
@@ -89,7 +89,7 @@ def patience(seconds: float = _PATIENCE_S) -> Iterator[None]:
 
 
 def table() -> str:
-    """The catalogue as a Markdown table, by area: case, why it is hard, what must come out, the safeguard."""
+    """Return the catalogue as a Markdown table, by area: case, why it is hard, what must come out, the safeguard."""
     rows = ["| case | why it is hard | what must come out | safeguard |", "|---|---|---|---|"]
     for area in AREAS:
         cases = (case for case in CASES.values() if case.area == area)

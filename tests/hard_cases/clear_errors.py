@@ -1,4 +1,4 @@
-"""What a person must be told about a file that cannot be used, and a file that must not be."""
+"""Checks of error messages about unusable files, and a file that must not be unpickled."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shift3d.errors import InputError
 
 
 def refused(load: Callable[[], object], *words: str) -> None:
-    """Loading raises an InputError in one line with a remedy, and with these words (the file, the place in it)."""
+    """Check that loading raises a one-line InputError with a remedy and these words (the file, the place in it)."""
     try:
         load()
     except InputError as error:
@@ -26,13 +26,13 @@ def refused(load: Callable[[], object], *words: str) -> None:
 
 @contextmanager
 def place() -> Iterator[Path]:
-    """An empty folder of this case alone."""
+    """Yield an empty folder for this case alone."""
     with tempfile.TemporaryDirectory(prefix="hard-case-") as folder:
         yield Path(folder)
 
 
 class Writes:
-    """Unpickled, it would write a file."""
+    """Object whose unpickling would write a file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -42,5 +42,5 @@ class Writes:
 
 
 def harmful(marker: Path) -> bytes:
-    """A checkpoint whose unpickling writes `marker`."""
+    """Return a checkpoint whose unpickling writes `marker`."""
     return pickle.dumps({"epoch": 3, "model_state_dict": Writes(marker)})

@@ -22,14 +22,14 @@ from shift3d.scenes.sensor import SensorModel
 
 BALL = Frame(size_m=(2.0, 2.0, 2.0), scale_m=2.5)
 BEHIND = torch.tensor([-20.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
-"""A ball that no beam meets: they all point ahead."""
+"""A ball that no beam meets: all beams point ahead."""
 AHEAD = -BEHIND
-"""The same ball, in front of them."""
+"""The same ball, in front of the beams."""
 READER = DetectorFacts("reader", reads_reflectance=True)
 
 
 def scene_of(points: Any, **parts: Any) -> Scene:
-    """A valid scene of points (N, 3); all beams start in the origin where nothing else is said."""
+    """Return a valid scene of points (N, 3); all beams start at the origin unless `parts` says otherwise."""
     places = np.asarray(points, dtype=np.float32).reshape(-1, 3)
     scene = Scene("hard", "made", places, parts.pop("origins", np.zeros_like(places)), -1.7, **parts)
     scene.validate()
@@ -37,7 +37,7 @@ def scene_of(points: Any, **parts: Any) -> Scene:
 
 
 def ahead(range_m: float, count: int, **parts: Any) -> Scene:
-    """`count` beams in +x that return from one range; parts: fields of the scene, one value a row is repeated."""
+    """Return `count` beams in +x that return from one range. parts: scene fields; a value per row is repeated."""
     repeated = {name: np.repeat(value, count, 0) if len(value) == 1 else value for name, value in parts.items()}
     return scene_of([[range_m, 0.0, 0.0]] * count, **repeated)
 
@@ -49,7 +49,7 @@ def reported(reflectance: float) -> np.ndarray:
 def on_object(
     scene: Scene, conditions: Conditions, sensor: SensorModel | None, **parts: float
 ) -> tuple[EffectContext, Returns]:
-    """Every row of a scene as the object's; parts: cosine, albedo."""
+    """Return every row of a scene as the object's. parts: cosine, albedo."""
     scene = Scene("hard", "made", scene.points, scene.origins, -1.7, conditions=conditions, sensor=sensor)
     context = EffectContext(scene, Beams.from_scene(scene), BALL, 3)
     beams, yes = context.beams, context.beams.carries
@@ -64,19 +64,19 @@ def scene_points(scene: Scene) -> Tensor:
 
 
 def without_tables() -> None:
-    """Forget the tables of fog and rain: each run of a case is to make its own."""
+    """Clear the tables of fog and rain, so that each run of a case makes its own."""
     fog.fog_echo_table.cache_clear()
     precipitation.crossings.cache_clear()
 
 
 def finite(returns: Returns) -> None:
-    """Nothing that comes back, or does not, is NaN or infinite."""
+    """Check that no value of a return, or of a lost return, is NaN or infinite."""
     for part in (returns.points, returns.cosine, returns.albedo, returns.reflectance):
         assert part is None or torch.isfinite(part).all()
 
 
 def drawn(scene: Scene, names: list[str], theta: Tensor = BEHIND, **overrides: float) -> Rendering:
-    """A ball in a scene as settings describe it."""
+    """Render a ball in a scene with these settings."""
     chain = EffectChain.of(names, scene, BALL, 3, EffectSettings(**overrides))
     rendering = chain.render(in_frame(sphere(1.0), BALL), theta, FAST)
     assert torch.isfinite(rendering.points).all() and torch.isfinite(rendering.range_m).all()

@@ -1,4 +1,4 @@
-"""Small scenes for the hard cases of rendering: a beam or a fan of them, a shape with a closed form, every solver."""
+"""Small scenes for the hard cases of rendering: a beam or a fan of beams, a closed-form shape, every solver."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ REFERENCE = preset("reference").with_(step_m=0.01)
 PAPER = preset("paper").with_(dtype=torch.float64)
 PRESETS = {"standard": FAST, "reference": REFERENCE, "paper": PAPER}
 FEW, MANY = 1, 40
-"""Beams: up to 32 are marched several steps at a time (see `bracket`), more one step at a time."""
+"""Numbers of beams: up to 32 are marched several steps at a time (see `bracket`), more one step at a time."""
 PLAIN = Frame(scale_m=2.5)
-"""Object frame and sdf frame share their axes and origin: coordinates come through without a rounding."""
+"""Object frame and sdf frame share axes and origin: coordinates pass without rounding."""
 
 
 def pose(*values: float) -> Tensor:
-    """(6,) x, y, z, yaw, pitch, roll, float64; what is not given is 0."""
+    """Return (6,) x, y, z, yaw, pitch, roll, float64; missing values are 0."""
     return torch.tensor([*values, *[0.0] * (6 - len(values))], dtype=torch.float64)
 
 
@@ -33,12 +33,12 @@ AT_TEN = pose(10.0)
 
 
 def beams_along_x(y: float = 0.0, start_x: float = 0.0, end_x: float = 30.0, z: float = 0.0, count: int = FEW) -> Beams:
-    """The same beam in +x, `count` times."""
+    """Return the same beam in +x, `count` times."""
     return Beams.from_arrays(np.array([[end_x, y, z]] * count), np.array([start_x, y, z]))
 
 
 def fan(theta: Tensor, rays: int = 20, half_angle_rad: float = 0.18, far_m: float = 40.0) -> Beams:
-    """A square fan from the origin about an object's place."""
+    """Return a square fan of beams from the origin towards an object's place."""
     x, y, z = theta[:3].tolist()
     return Beams.from_arrays(*sector_scan((x, y, z), half_angle_rad, rays, far_m))
 
@@ -57,30 +57,30 @@ def draw(
 
 
 def in_plain(metric: Field) -> Field:
-    """A shape in the sdf units of the plain frame."""
+    """Return a shape in the sdf units of the plain frame."""
     return in_frame(metric, PLAIN)
 
 
 def sound(rendering: Rendering) -> None:
-    """Nothing that a rendering says is NaN or infinite."""
+    """Check that no value of a rendering is NaN or infinite."""
     assert torch.isfinite(rendering.points).all() and torch.isfinite(rendering.range_m).all()
     assert math.isfinite(rendering.max_residual_m) and rendering.non_finite == 0
 
 
 def hit_at(rendering: Rendering, range_m: float, tolerance_m: float = 1e-4) -> None:
-    """Every beam hits at one range."""
+    """Check that every beam hits at one range."""
     assert rendering.hit_mask.all() and rendering.unresolved_beams == 0
     assert float((rendering.range_m.detach() - range_m).abs().max()) <= tolerance_m, rendering.range_m.tolist()
 
 
 def unmoved(rendering: Rendering, beams: Beams, unresolved: int = 0) -> None:
-    """No beam hits, `unresolved` of them are counted as such, and every return is where it was, bit for bit."""
+    """Check that no beam hits, `unresolved` of them are counted, and every return is unchanged, bit for bit."""
     assert not rendering.hit_mask.any() and rendering.unresolved_beams == unresolved
     assert torch.equal(rendering.points, beams.points)
 
 
 def at_most(metric: Field, calls: int) -> Field:
-    """The field, which gives up after so many calls: a search without an end is told apart from a slow one."""
+    """Return the field, which raises after this many calls: an endless search differs from a slow one."""
     spent = 0
 
     def g(x: Tensor) -> Tensor:
@@ -93,9 +93,9 @@ def at_most(metric: Field, calls: int) -> Field:
 
 
 class BentLine(Network):
-    """A ReLU network of x_sdf alone: tanh of a line that bends at each (where, by how much), and is `level` before.
+    """ReLU network of x_sdf alone: tanh of a line that bends at each (place, change of slope), and is `level` before.
 
-    Gives up after 500 calls: a traversal that does not end would take 200,000.
+    Raises after 500 calls, because an endless traversal would take 200,000.
     """
 
     def __init__(self, level: float, bends: list[tuple[float, float]]) -> None:
@@ -111,7 +111,7 @@ class BentLine(Network):
         return super().__call__(x_sdf)
 
     def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
-        """As of any network, counted."""
+        """Return the linear region, like any network, and count the call."""
         self._count()
         return super().region(x_sdf, direction)
 

@@ -1,4 +1,4 @@
-"""Every hard case must hold. `python tests/hard_cases/test_every_hard_case.py` lists them."""
+"""Every hard case must hold. `python tests/hard_cases/test_every_hard_case.py` lists the cases."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from catalogue import AREAS, CASES, patience, table
 
 HERE = Path(__file__).parent
-sys.path.append(str(HERE.parent))  # as pytest has it, for who runs this file
+sys.path.append(str(HERE.parent))  # pytest sets this path; a direct run of this file needs it
 for path in sorted(HERE.glob("cases_*.py")):
     importlib.import_module(path.stem)
 

@@ -1,8 +1,8 @@
-"""What a RayJob may hold, as far as jobs/kuberay.yaml goes: the field names of KubeRay's published API reference.
+"""Allowed content of a RayJob in jobs/kuberay.yaml: the field names of KubeRay's published API reference.
 
 Source: the reference of ``ray.io/v1`` (RayJobSpec, RayClusterSpec, HeadGroupSpec, WorkerGroupSpec, AutoscalerOptions,
-AuthOptions) and of Kubernetes ``core/v1`` (PodSpec, Container), written down by hand: nothing but what is listed is
-accepted, so a field that is misspelt or misplaced is found without a cluster.
+    AuthOptions) and of Kubernetes ``core/v1`` (PodSpec, Container), copied by hand. Only listed fields are accepted, so
+    a misspelt or misplaced field is found without a cluster.
 """
 
 from __future__ import annotations

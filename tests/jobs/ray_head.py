@@ -1,4 +1,4 @@
-"""A Ray head on loopback that the tests of launch specs start their sweeps on, and the commands that specs call."""
+"""A Ray head on loopback, on which the tests of launch specs start sweeps, and the commands that launch specs call."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[2]
 SERVICE = REPOSITORY / "tests" / "service"
 
-# `ray symmetric-run` ends with `ray stop`, which would end every Ray of this machine: its options and those that it
-# passes on to `ray start` are parsed by Ray's own commands, and the program is run on the head that there is.
+# `ray symmetric-run` ends with `ray stop`, which would end every Ray of this machine. The stub lets Ray's own commands
+# parse its options and those passed on to `ray start`, and runs the program on the existing head.
 _RAY = """#!{python}
 import os, subprocess, sys
 from ray.scripts.scripts import start
@@ -34,9 +34,9 @@ sys.exit(subprocess.call(program, env={{**os.environ, "RAY_AUTH_TOKEN": heads}})
 """
 _DRIVER = '#!/bin/sh\nexec {python} {driver} "$@"\n'
 _COMMANDS = {
-    # Every task of a step is the same program: one stands for all.
+    # Every task of a step is the same program: one task represents all.
     "srun": '#!/bin/sh\nwhile [ "${1#--}" != "$1" ]; do shift; done\nexec "$@"\n',
-    # More than a pipe holds, so that a reader that leaves early is noticed every time.
+    # More than a pipe holds, so that a reader that stops early is noticed every time.
     "scontrol": "#!/bin/sh\necho first-node\nseq -f node-%g 20000\n",
 }
 
@@ -45,12 +45,12 @@ _COMMANDS = {
 def ray_head(
     dashboard_port: int | None, python: str = sys.executable, path: str = f"{SERVICE}:{REPOSITORY}"
 ) -> Iterator[dict[str, str]]:
-    """A head with room for eight workers. Yields the environment in which a launch spec's commands find it.
+    """Run a head with room for eight workers. Yields the environment in which a launch spec's commands find it.
 
-    dashboard_port: None: no dashboard, and no Jobs API. python: of the machines. path: where they find modules that
-    are not installed.
+    dashboard_port: None: no dashboard, and no Jobs API. python: of the machines. path: module folders of the machines,
+    for modules that are not installed.
     """
-    folder = Path(tempfile.mkdtemp(prefix="s3d-"))  # short: Ray puts sockets there
+    folder = Path(tempfile.mkdtemp(prefix="s3d-"))  # short, because Ray puts sockets there
     driver = _DRIVER.format(python=python, driver=SERVICE / "driver.py")
     for name, text in {**_COMMANDS, "shift3d": driver, "ray": _RAY.format(python=python)}.items():
         (folder / name).write_text(text)
@@ -66,11 +66,11 @@ def ray_head(
     }
     command = [python, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--port=0", "--num-cpus=8"]
     command += ["--node-ip-address=127.0.0.1", f"--temp-dir={folder}", "--object-store-memory=100000000"]
-    command += ["--no-monitor", "--include-log-monitor=false"]  # of an autoscaler and for drivers that want logs
+    command += ["--no-monitor", "--include-log-monitor=false"]  # for an autoscaler, and for drivers that want logs
     # The dashboard serves the Jobs API.
     command += [f"--include-dashboard={'true' if dashboard_port else 'false'}", "--dashboard-host=127.0.0.1"]
     command += [f"--dashboard-port={dashboard_port}"] if dashboard_port else []
-    # Without an agent there are no jobs, and another Ray of this machine may have the port that Ray takes for it.
+    # Jobs need an agent, and another Ray of this machine may use Ray's default port for it.
     command += [f"--dashboard-agent-listen-port={_free_port()}"]
     log = folder / "start.log"
     with log.open("w") as file:
@@ -99,7 +99,7 @@ def _free_port() -> int:
 
 
 def _address(process: subprocess.Popen[bytes], log: Path) -> str:
-    """The head's address, which Ray writes after it has said that it runs."""
+    """Return the head's address, which Ray writes after it has reported that it runs."""
     file = log.parent / "ray_current_cluster"
     deadline = time.monotonic() + 90
     while time.monotonic() < deadline:

@@ -1,4 +1,4 @@
-"""shift3d from its wheel alone, in a folder that has nothing: a sweep of one's own, its report; and Ray workers."""
+"""shift3d from its wheel alone, in an empty folder: a user's own sweep with its report, and Ray workers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FOLDERS = ("shift3d", "conf", "sweeps", "jobs")
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel, built from a copy: setuptools leaves files beside what it builds. Nothing is downloaded."""
+    """The wheel, built from a copy because setuptools leaves files beside its build. Nothing is downloaded."""
     folder = tmp_path_factory.mktemp("build")
     for name in FOLDERS:
         shutil.copytree(REPOSITORY / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -37,13 +37,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The Python of an environment that has the wheel, and of the tests' own its libraries."""
+    """Python of an environment with the wheel and the libraries of the tests' own environment."""
     folder = tmp_path_factory.mktemp("venv")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
     found = folder / "bin" / "python"
     words = ["--quiet", "--no-deps", "--no-index", str(wheel)]
     subprocess.run([sys.executable, "-m", "pip", "--python", str(found), "install", *words], check=True)
-    # A plain path: the tests' own shift3d, where it is installed for editing, is found by a hook that this leaves out.
+    # A plain path: it leaves out the import hook by which an editable install of shift3d is found.
     site = sysconfig.get_path("purelib", vars={"base": str(folder), "platbase": str(folder)})
     (Path(site) / "libraries.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
     return found
@@ -54,7 +54,7 @@ def environment(**more: str) -> dict[str, str]:
 
 
 def run(python: Path, folder: Path, *words: str, **more: str) -> str:
-    """What a command of the installed shift3d prints; it must end well."""
+    """Run a command of the installed shift3d, which must succeed. Returns its output."""
     command = [str(python.parent / "shift3d"), *words]
     done = subprocess.run(
         command, cwd=folder, env=environment(**more), capture_output=True, text=True, timeout=900, check=False
@@ -108,7 +108,7 @@ def test_two_machines_of_a_cluster_that_have_the_wheel_alone(
         slow = environment(**found, SHIFT3D_TEST_SECONDS="0.1")
         command = f"shift3d {words} job=ray_cluster runner.workers=2 out=cluster"
         subprocess.run(["bash", "-c", command], cwd=tmp_path, env=slow, timeout=600, check=True)
-    monkeypatch.syspath_prepend(SERVICE)  # of the kind of task
+    monkeypatch.syspath_prepend(SERVICE)  # for the kind of task
     code, _, errors = Drivers(tmp_path).run_here([*words.split(), "runner=local", "out=here"])
     assert code == 0, errors
     assert len(set(pd.read_parquet(tmp_path / "cluster" / "final" / "attempts.parquet")["worker"])) == 2

@@ -1,4 +1,4 @@
-"""Launch specs start the same sweep, on a real head: the same bytes come of it as in process."""
+"""Launch specs on a real head start the same sweep: its bytes equal those of an in-process run."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def environment(dashboard_port: int) -> Iterator[dict[str, str]]:
 
 
 def job_of(folder: Path, dashboard_port: int) -> Path:
-    """The spec of a Ray job, on the head that there is."""
+    """Return the spec of a Ray job on the existing head."""
     spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
     (folder / "job.yaml").write_text(spec)
     return folder / "job.yaml"
 
 
 def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
-    """How a small sweep is started by Slurm and through the Jobs API; job=ray_cluster: see test_installed_wheel."""
+    """Return commands for a small sweep by Slurm and the Jobs API; job=ray_cluster: see test_installed_wheel."""
     words = f"mine {shlex.join(WORDS)} {ON_RAY}"
     return {
         "slurm": f"bash {JOBS / 'slurm.sbatch'} {words} out={folder / 'slurm'}",
@@ -50,13 +50,13 @@ def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
 def test_every_spec_starts_the_same_sweep(
     environment: dict[str, str], dashboard_port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One of the command's own folder, with a group of its own: both travel with a job."""
+    """The sweep is in the command's own folder, with a group of its own: both must travel with a job."""
     (tmp_path / "sweeps").mkdir()
     (tmp_path / "conf" / "attack").mkdir(parents=True)
     (tmp_path / "sweeps" / "mine.yaml").write_text("defaults: [default, override /attack: tiny, _self_]\n")
     (tmp_path / "conf" / "attack" / "tiny.yaml").write_text("defaults: [paper, _self_]\nsteps: 3\n")
     slurm = {"SLURM_JOB_NODELIST": "node[1-2]", "SLURM_JOB_NUM_NODES": "2", "SLURM_CPUS_ON_NODE": "2"}
-    # At once: most of its time each of them waits for Ray.
+    # At once, because each of them waits for Ray most of the time.
     running = {
         name: subprocess.Popen(
             ["bash", "-c", command],
@@ -68,7 +68,7 @@ def test_every_spec_starts_the_same_sweep(
         )
         for name, command in commands(tmp_path, dashboard_port).items()
     }
-    monkeypatch.syspath_prepend(SERVICE)  # of the kind of task
+    monkeypatch.syspath_prepend(SERVICE)  # for the kind of task
     here = ["sweep", "mine", *WORDS, "runner=local", f"out={tmp_path / 'here'}"]
     code, _, errors = Drivers(tmp_path).run_here(here)
     assert code == 0, errors

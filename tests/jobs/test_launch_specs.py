@@ -1,4 +1,4 @@
-"""Launch specs say where a sweep runs and nothing else, in the words of the tool that reads them."""
+"""Launch specs state where a sweep runs and nothing else, in the terms of the tool that reads them."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_slurms_script_parses_and_its_directives_are_slurms() -> None:
 
 
 def run_slurm(folder: Path, tools: dict[str, str], **environment: str) -> subprocess.CompletedProcess[str]:
-    """The script with these tools, name to shell lines; those in slurm/ come before the system's."""
+    """Run the script with these tools, name to shell lines; those in slurm/ precede the system's."""
     for name, text in {"slurm/scontrol": "echo n", **tools}.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(f"#!/bin/bash\n{text}\n")
@@ -192,7 +192,7 @@ def test_slurms_python_is_that_of_the_folder_or_the_one_given(tmp_path: Path) ->
 def test_a_slurm_job_ends_with_the_code_of_its_sweep_or_has_failed(
     sweeps_code: int | None, code: int, tmp_path: Path
 ) -> None:
-    """None: Ray does not start, for which `ray symmetric-run` ends with 0."""
+    """The case None: Ray does not start, and `ray symmetric-run` ends with 0 nevertheless."""
     runs = 'while [ "$1" != -- ]; do shift; done; shift; "$@"'
     sweep = f'echo "$@" > {tmp_path / "words"}; exit {sweeps_code}'
     tools = {"slurm/srun": "true" if sweeps_code is None else runs, "bin/shift3d": sweep, "bin/ray": "true"}
@@ -212,7 +212,7 @@ def test_the_time_that_slurms_nodes_wait_for_each_other_is_a_variable_of_this_ra
 
 
 def _uncommented(path: Path) -> str:
-    """A file's text with commands of its comments as a shell reads them."""
+    """Return a file's text with the commands of its comments, as a shell reads them."""
     return path.read_text().replace("\n#", "\n").replace("\\\n", "")
 
 

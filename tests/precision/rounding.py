@@ -1,13 +1,13 @@
-"""Bounds of what float32 does to a result, from the operations that make it and one run in float64.
+"""Bounds of the effect of float32 on a result, from its operations and one run in float64.
 
-u = 2^-24 is the largest relative error of one rounding. A sum of n products computed in any order is off by at most
-n u |a| |b| (Higham 2002, section 3.1), where |a| |b| is the sum of the products' sizes; rounding errors being of
-either sign, by no more than lambda sqrt(n) u |a| |b| but for a chance of 2 n exp(-lambda^2 / 2) (Higham & Mary 2019,
-theorem 2.4): with `LAMBDA` 6 and n 512, one in sixty thousand. An error inside a network reaches its output times the
-derivative there, to first order; those of different places are independent, so that they add up in quadrature.
+u = 2^-24 is the largest relative error of one rounding. A sum of n products computed in any order is off by at most n u
+|a| |b| (Higham 2002, section 3.1), where |a| |b| is the sum of the products' sizes. Because rounding errors have either
+sign, it is off by no more than lambda sqrt(n) u |a| |b| except with probability 2 n exp(-lambda^2 / 2) (Higham & Mary
+2019, theorem 2.4): one in sixty thousand with `LAMBDA` 6 and n 512. An error inside a network reaches its output times
+the derivative there, to first order. Errors of different places are independent, so that they add up in quadrature.
 
-Nothing here is fitted to what float32 was seen to do. Tests also assert that the bound is not empty: what is seen is
-more than `EMPTY` of it, which a kernel that silently ran in float64 would not reach.
+No constant is fitted to observed float32 errors. Tests also assert that the bound is not vacuous: the observed error
+exceeds `EMPTY` of it, which a kernel that silently runs in float64 would not reach.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ EMPTY = 1e-4
 
 
 def gamma(count: int) -> float:
-    """The worst relative error of `count` float32 operations in a row, to first order."""
+    """Return the worst relative error of `count` float32 operations in a row, to first order."""
     return count * U32 / (1 - count * U32)
 
 
 def input_rounding(field: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
-    """(N,) what rounding the coordinates x (N, 3) float64 to float32 may change g by: sum_i |dg/dx_i| u |x_i|."""
+    """Bound (N,) the change of g by rounding coordinates x (N, 3) float64 to float32: sum_i |dg/dx_i| u |x_i|."""
     leaf = x.detach().clone().requires_grad_()
     (gradient,) = torch.autograd.grad(field(leaf).sum(), leaf)
     return (gradient.abs() * U32 * leaf.detach().abs()).sum(-1)
 
 
 def decoder_rounding(field: Field, x: Tensor, code: Tensor) -> Tensor:
-    """(N,) what the decoder's sums in float32 may change g by, sdf units.
+    """Bound (N,) the change of g by the decoder's sums in float32, sdf units.
 
-    field: in float64. x: (N, 3) float64 places. code: what it was made of: its products with the first and the skip
-    layer are sums of len(code) + 1 terms, in the biases; their terms are no larger than |bias| sqrt(len(code)).
+    field: in float64. x: (N, 3) float64 places. code: code of the field. Its products with the first and the skip layer
+    are sums of len(code) + 1 terms, in the biases; their terms are no larger than |bias| sqrt(len(code)).
     """
     hidden, switched, sizes = x, [], []
     for layer, (weight, bias) in enumerate(zip(field.weights, field.biases)):
@@ -54,7 +54,7 @@ def decoder_rounding(field: Field, x: Tensor, code: Tensor) -> Tensor:
         hidden = hidden @ weight.T + bias
         switched.append(hidden > 0)
         hidden = torch.relu(hidden)
-    # From the output back: the derivative of the output by each pre-activation.
+    # Backward from the output: the derivative of the output by each pre-activation.
     derivative, total = torch.ones(len(x), 1, dtype=x.dtype), torch.zeros(len(x), dtype=x.dtype)
     for layer in reversed(range(len(field.weights))):
         if layer < len(field.weights) - 1:
@@ -66,14 +66,14 @@ def decoder_rounding(field: Field, x: Tensor, code: Tensor) -> Tensor:
         derivative = derivative @ weight
         if layer == field.skip_layer:
             derivative = derivative[:, :-3]
-    return LAMBDA * total.sqrt() + 4 * U32 * field(x).abs()  # and tanh: good to a few units in the last place
+    return LAMBDA * total.sqrt() + 4 * U32 * field(x).abs()  # and tanh: accurate to a few units in the last place
 
 
 class RunningError:
-    """The rounding error of a network run in float32, while it runs in float64.
+    """Rounding error of a network in float32, computed while it runs in float64.
 
-    To what each layer hands on, a zero is added, by which an output is then differentiated: that derivative times the
-    layer's own rounding error is what reaches the output.
+    The output of each layer gets an added zero, by which the network's output is then differentiated: this derivative
+    times the layer's own rounding error is the error that reaches the output.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class RunningError:
 
     @contextmanager
     def watch(self, net: nn.Module) -> Iterator[RunningError]:
-        """Note what runs through `net` (float64) meanwhile."""
+        """Record the calls of `net` (float64) within this context."""
         hooks = []
         self._weights = [weight.requires_grad_() for weight in net.parameters()]
         for module in net.modules():
@@ -96,16 +96,16 @@ class RunningError:
         net.requires_grad_(False)
 
     def add(self, value: Tensor, size: Tensor, count: float) -> Tensor:
-        """`value`, whose entries sums of `count` terms of `size` have made. What it is taken for from here on."""
+        """Record that `value` was made by sums of `count` terms of `size`. Returns the value to use in its place."""
         zero = torch.zeros_like(value, requires_grad=True)
         self._errors.append((zero, math.sqrt(count) * size.detach()))
         return value + zero
 
     def bound(self, output: Tensor) -> float:
-        """What float32 may change a scalar output by."""
+        """Bound the change of a scalar output by float32."""
         leaves = [zero for zero, _ in self._errors] + self._weights
         derivatives = torch.autograd.grad(output, leaves, retain_graph=True, allow_unused=True)
-        # Folded weights are rounded to float32, once: one error a weight, wherever it is used.
+        # Folded weights are rounded to float32 once: one error per weight, wherever it is used.
         sizes = [size for _, size in self._errors] + [weight.detach().abs() for weight in self._weights]
         parts = [(d * size).square().sum() for d, size in zip(derivatives, sizes) if d is not None]
         return LAMBDA * U32 * math.sqrt(float(torch.stack(parts).sum()))
@@ -122,7 +122,7 @@ class RunningError:
         return self.add(output, return_size, weight[0].numel() + 1)
 
     def _norm(self, module: nn.Module, inputs: tuple[Tensor], output: Tensor) -> Tensor:
-        """Mean and variance are sums over the channels; what they are off by is divided by the deviation."""
+        """Record a layer norm: mean and variance are sums over channels; their errors are divided by the deviation."""
         assert isinstance(module, nn.LayerNorm)
         x = inputs[0].detach()
         deviation = (x.var(-1, unbiased=False, keepdim=True) + module.eps).sqrt()
@@ -132,9 +132,9 @@ class RunningError:
 
 @contextmanager
 def attention_watched(error: RunningError, longest: int) -> Iterator[None]:
-    """Note the rounding of attention over at most `longest` tokens.
+    """Record the rounding of attention over at most `longest` tokens.
 
-    A weight is exp of a product of two vectors: off by its own size times what the product is off by, in numerator and
+    A weight is exp of a product of two vectors: its error is its own size times the product's error, in numerator and
     denominator. Weights are positive and add to 1, so that no output is larger than the largest value.
     """
     original = functional.scaled_dot_product_attention

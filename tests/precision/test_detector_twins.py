@@ -1,4 +1,4 @@
-"""Both detectors, their encoder, the loss and the scores: float32 against float64, to bounds by `rounding`."""
+"""Both detectors, their encoder, the loss and the scores in float32 against float64, within bounds by `rounding`."""
 
 import copy
 
@@ -22,18 +22,18 @@ CENTRE = (12.0, -7.0)
 
 @pytest.fixture(scope="module")
 def points() -> Tensor:
-    """(N, 3) float32, several to a pillar about CENTRE."""
+    """Points (N, 3) float32, several per pillar, about CENTRE."""
     generator = torch.Generator().manual_seed(3)
     near = torch.randn(2500, 3, generator=generator) * torch.tensor([3.0, 3.0, 0.4]) + torch.tensor([*CENTRE, 0.8])
     return torch.cat((random_scene(2000), near))
 
 
 def decorated_sizes(points: Tensor, pillars: Pillars, columns: int) -> tuple[Tensor, float]:
-    """(K, columns) sizes of what the decorated values are made of, and the terms of their longest sums.
+    """Return the sizes (K, columns) of the terms of the decorated values, and the number of terms of the longest sum.
 
-    x, y, z are the points' own. An offset to the mean: a sum over the pillar, a quotient, a difference: the point's
-    coordinate and the mean of all of their sizes. An offset to the centre, which float32 rounds and which is at most
-    half a cell away: two numbers as large. Height: the coordinate and 1 m.
+    x, y, z are the points' own. An offset to the mean is a sum over the pillar, a quotient and a difference: the
+    point's coordinate and the mean of all sizes. An offset to the centre, which float32 rounds and which is at most
+    half a cell away, has two numbers as large. Height: the coordinate and 1 m.
     """
     xyz = points[pillars.order].double().abs()
     mean = segment_mean(xyz, pillars).index_select(0, pillars.pillar)
@@ -59,7 +59,7 @@ def test_logits(name: str, points: Tensor) -> None:
         exact = double.proposals(points.double(), window).logits
         found = single.proposals(points, window).logits.double()
         change = (found - exact).detach().abs()
-        # The anchors where float32 is farthest off, and some others.
+        # The anchors with the largest float32 error, and some others.
         shares = []
         for anchor in [*change.argsort(descending=True)[:3].tolist(), 0, 7]:
             bound = error.bound(exact[anchor])
@@ -70,13 +70,13 @@ def test_logits(name: str, points: Tensor) -> None:
 
 
 def test_the_voxel_encoder(points: Tensor) -> None:
-    """On its own, norms not folded: a norm of one is a product and a sum more, on weights of its own."""
+    """The encoder runs alone, with norms that are not folded: a norm adds a product and a sum, with its own weights."""
     torch.manual_seed(0)
     double = VoxelEncoder(16, 24).double().eval()
     for norm in (double.first_norm, double.second_norm):
         torch.nn.init.uniform_(norm.running_var, 0.5, 1.5)
         torch.nn.init.normal_(norm.running_mean, std=0.1)
-    # float32's parameters in both, so that only the arithmetic differs.
+    # Both have float32's parameters, so that only the arithmetic differs.
     single = copy.deepcopy(double).float()
     double.load_state_dict(single.state_dict())
     window = full_window(WAYMO_GRID)
@@ -98,7 +98,7 @@ def test_the_voxel_encoder(points: Tensor) -> None:
 
 
 def _norm_rounding(error: RunningError):  # type: ignore[no-untyped-def]
-    """A batch norm in evaluation mode: a difference, a quotient by a root, a product, a sum: four, and its terms."""
+    """Record a batch norm in evaluation mode: a difference, a quotient by a root, a product, a sum."""
 
     def hook(norm: torch.nn.BatchNorm1d, inputs: tuple[Tensor], output: Tensor) -> Tensor:
         assert norm.running_mean is not None and norm.running_var is not None
@@ -109,7 +109,7 @@ def _norm_rounding(error: RunningError):  # type: ignore[no-untyped-def]
 
 
 def logits_and_boxes(count: int = 300) -> tuple[Tensor, Tensor]:
-    """Logits from certain misses to certain hits, boxes about an object at CENTRE."""
+    """Return logits from certain misses to certain hits, and boxes about an object at CENTRE."""
     rng = np.random.default_rng(0)
     boxes = np.concatenate((rng.normal(size=(count, 3)) * [2, 2, 0.2] + [*CENTRE, 0.8],
                             rng.uniform(0.8, 1.2, (count, 3)) * [4.5, 1.9, 1.6],
@@ -118,9 +118,9 @@ def logits_and_boxes(count: int = 300) -> tuple[Tensor, Tensor]:
 
 
 def test_the_loss_and_its_gradient() -> None:
-    """sum_i w_i softplus(l_i): a weight rounded once, softplus good to 4 u (an exp and a log1p), a product, and a sum
-    of n of them: n + 6 roundings of the sum itself, all of whose terms are positive. A derivative is w_i sigmoid(l_i):
-    6 u.
+    """A sum w_i softplus(l_i) of n positive terms has n + 6 roundings, a derivative w_i sigmoid(l_i) an error of 6 u.
+
+    The 6: a weight rounded once, softplus accurate to 4 u (an exp and a log1p), and a product; n: the sum.
     """
     logits, boxes = logits_and_boxes()
     truth = np.array([*CENTRE, 0.8, 4.5, 1.9, 1.6, 0.2])
@@ -133,13 +133,12 @@ def test_the_loss_and_its_gradient() -> None:
     overlapping = int((slope_double > 0).sum())
     assert overlapping > 50
     assert 0 < float((single - double).abs()) <= gamma(overlapping + 6) * float(double)
-    # Where sigmoid is below the smallest normal float32, 1e-38, it has no relative accuracy; none is here.
+    # Where sigmoid is below the smallest normal float32, 1e-38, it has no relative accuracy; no such value occurs.
     assert bool(((slope_single - slope_double).abs() <= gamma(6) * slope_double).all())
 
 
 def test_scores_and_what_is_kept() -> None:
-    """sigmoid is good to 4 u; suppression compares overlaps of the same boxes, so keeps the same where no two scores
-    are that close."""
+    """Suppression keeps the same boxes unless two scores are within sigmoid's 4 u: it compares the same overlaps."""
     logits, boxes = logits_and_boxes()
     index = torch.arange(len(logits))
     single = suppress(Proposals(boxes, logits, index), 0.1, 0.25)
@@ -150,7 +149,7 @@ def test_scores_and_what_is_kept() -> None:
 
 
 def test_saturated_scores_rank_as_in_float64() -> None:
-    """Logits above 17 all have the score 1 in float32: what is kept follows the logits, which differ."""
+    """Logits above 17 all have the score 1 in float32: suppression must follow the logits, which differ."""
     logits, boxes = torch.tensor([20.0, 30.0]), logits_and_boxes(1)[1].repeat(2, 1)
     boxes[1, 0] += 0.1
     kept = [suppress(Proposals(boxes, part, torch.arange(2)), 0.1, 0.25) for part in (logits, logits.double())]

@@ -1,4 +1,4 @@
-"""The metric field in float32 against float64, and what a dtype can reach: the API's statement held against both."""
+"""The metric field in float32 against float64, and the accuracy that the API states for each dtype, checked by both."""
 
 import math
 
@@ -24,7 +24,7 @@ F64 = ObjectField.of(DOUBLE, SUV, torch.float64, 4096)
 
 @pytest.fixture(scope="module")
 def near_surface() -> Tensor:
-    """(400, 3) places in the object frame, the nearest to the surface of some thousands."""
+    """Places (400, 3) in the object frame, the nearest to the surface of some thousands."""
     generator = torch.Generator().manual_seed(0)
     place = torch.rand(2000, 3, generator=generator, dtype=torch.float64) - 0.5
     x = 1.1 * place * torch.tensor(SUV.size_m, dtype=torch.float64)
@@ -32,7 +32,7 @@ def near_surface() -> Tensor:
 
 
 def rounding_m(x_object: Tensor) -> Tensor:
-    """(N,) what float32 may change the metric distance at places by: the place's own rounding, and the decoder's."""
+    """Bound (N,) the change of the metric distance by float32: the rounding of the place, and that of the decoder."""
     x_sdf = x_object @ (F64.sdf_R_object.T / SUV.scale_m) + F64.sdf_t_object
     held = x_sdf.float().double()
     # The product with scale_m is one rounding more.
@@ -48,18 +48,18 @@ def test_the_field(near_surface: Tensor) -> None:
 
 
 def test_linear_regions(near_surface: Tensor) -> None:
-    """Value and slope on a beam: the value as the field's own; the slope by the same sums over slopes in their place.
+    """The value's bound on a beam is the field's own; the slope has the same sums with slopes as terms.
 
-    No derivative is larger than the spectral norms' product, so the field's bound for the value, whose sums hold places
-    and biases of order one, holds for the slope, whose sums hold unit directions, where no unit is about to switch.
+    No derivative is larger than the product of spectral norms. The field's bound holds for sums of places and biases of
+    order one, so it also holds for the slope's sums of unit directions, unless a unit is about to switch.
     """
     direction = torch.nn.functional.normalize(torch.randn(400, 3, generator=torch.Generator().manual_seed(1)), dim=1)
     one, exact = F32.region(near_surface, direction.double()), F64.region(near_surface, direction.double())
     bound = rounding_m(near_surface)
-    # tanh flattens: the value before it is off by more, by 1 / (1 - g^2).
+    # tanh flattens: the value before it has a larger error, by the factor 1 / (1 - g^2).
     steeper = 1 / (1 - (F64(near_surface) / SUV.scale_m).square())
     assert bool(((one.value - exact.value).abs() <= bound * steeper + U32 * exact.value.abs()).all())
-    # A unit whose switch lies within the rounding of the place may belong to either region.
+    # A unit whose switch is within the rounding of the place may belong to either region.
     configured = exact.length > 100 * bound
     change = (one.slope - exact.slope).abs()[configured & (one.length > 100 * bound)]
     same = change <= float(bound.max()) / SUV.scale_m
@@ -68,27 +68,27 @@ def test_linear_regions(near_surface: Tensor) -> None:
 
 
 def test_what_float32_reaches_is_what_the_api_says(near_surface: Tensor) -> None:
-    """Roots as good as float32 has them, on beams to the surface: brackets shrunk until nothing lies between.
+    """Brackets are shrunk until nothing is left between their ends, which gives roots at float32's limit.
 
-    None is guaranteed to be better than the statement, and none is worse; nor is the statement idle: the worst root
-    comes to a tenth of it.
+    No root is guaranteed to be better than the API's statement, and none is worse. The statement is not loose: the
+    worst root reaches a tenth of it.
     """
     stated = reachable_residual_m(torch.float32, SUV.scale_m)
     residual = _true_residual(F32, near_surface)
     assert 0.1 * stated < float(residual.max()) <= stated
-    # Beaten by luck, not by orders.
+    # Some roots are better by luck, not by orders of magnitude.
     assert float(residual.median()) > 0.01 * stated
 
 
 def test_what_float64_reaches(near_surface: Tensor) -> None:
-    """Held against nothing better: the value of the field itself at the two ends of the last bracket."""
+    """No better reference exists: the test uses the field's own value at the two ends of the last bracket."""
     stated = reachable_residual_m(torch.float64, SUV.scale_m, range_m=1.0)
     residual = _true_residual(F64, near_surface)
     assert 0.01 * stated < float(residual.max()) <= stated
 
 
 def _true_residual(field: ObjectField, near_surface: Tensor) -> Tensor:
-    """(M,) |g| in float64 at roots that `field` gives, by bisection from 1 m outside along the field's gradient."""
+    """Return |g| (M,) in float64 at roots of `field`, by bisection from 1 m outside along the field's gradient."""
     leaf = near_surface.clone().requires_grad_()
     (normal,) = torch.autograd.grad(F64(leaf).sum(), leaf)
     direction = -torch.nn.functional.normalize(normal, dim=1)
@@ -108,7 +108,7 @@ def _true_residual(field: ObjectField, near_surface: Tensor) -> Tensor:
 
 
 def test_the_decoders_own_sums_add_no_more_than_the_statement_gives_them(near_surface: Tensor) -> None:
-    """Two thirds of the statement are for them: 2 u in sdf units. Measured, at places that float32 holds exactly."""
+    """Two thirds of the statement cover these sums: 2 u in sdf units. Measured at places that float32 holds exactly."""
     held = (near_surface @ (F64.sdf_R_object.T / SUV.scale_m) + F64.sdf_t_object).float()
     change = (SINGLE(held).double() - DOUBLE(held.double())).abs()
     assert EMPTY * U32 < float(change.max()) < 2 * U32
@@ -117,7 +117,7 @@ def test_the_decoders_own_sums_add_no_more_than_the_statement_gives_them(near_su
 
 @pytest.mark.parametrize("name", list(PRESETS))
 def test_every_preset_asks_for_what_it_can_reach(name: str) -> None:
-    """Of any vehicle up to 20 m long. The paper's 1e-6 is reached in float32, as places are told from the object."""
+    """Vehicles may be up to 20 m long. Float32 reaches the paper's 1e-6, because places are relative to the object."""
     settings = preset(name)
     assert settings.tolerance_m >= settings.reachable_residual_m(scale_m=5.0 if name == "paper" else 10.0)
 
@@ -130,7 +130,7 @@ def test_a_tolerance_below_is_refused_with_a_remedy() -> None:
         preset("reference").with_(tolerance_m=1e-16)
     with pytest.raises(InputError, match="cannot be reached in bfloat16"):
         standard.with_(dtype=torch.bfloat16)
-    # For this vehicle's scale when it is known: 1e-7 m is fine for a toy of a metre.
+    # For this vehicle's known scale: 1e-7 m is reachable for a toy of a metre.
     fine = standard.with_(tolerance_m=1e-7)
     beams = Beams.from_arrays(np.array([[30.0, 0.0, 0.0]]), np.zeros(3))
     with pytest.raises(InputError, match="1e-07 m cannot be reached"):
@@ -138,7 +138,7 @@ def test_a_tolerance_below_is_refused_with_a_remedy() -> None:
 
 
 def test_the_published_setting_stays_usable() -> None:
-    """A solver that bisects a fixed number of times does not look at a tolerance, and may state any."""
+    """A solver that bisects a fixed number of times ignores the tolerance, which may have any value."""
     assert preset("paper").with_(tolerance_m=1e-12).tolerance_m == 1e-12
 
 
@@ -150,14 +150,14 @@ def test_the_paper_reaches_its_1e_6_in_float32_near_and_far(distance_m: float) -
     beams = Beams.from_arrays(ends * (distance_m + 6.0) / distance_m, np.zeros(3))
     drawn = render(beams, SINGLE, theta, SUV, preset("paper").with_(sphere_chord_only=True))
     assert drawn.object_points == 12 and drawn.max_residual_m < 1e-6
-    # In float64 as well: its own evaluation of its own root would not tell.
+    # Checked in float64 as well: float32's evaluation of its own root would not show the error.
     x_object = drawn.points - theta[:3]
     yaw = torch.tensor([[math.cos(0.4), -math.sin(0.4), 0], [math.sin(0.4), math.cos(0.4), 0], [0, 0, 1]]).double()
     assert float(F64(x_object @ yaw).abs().max()) < 1e-6
 
 
 def test_reachable_at_the_asked_tolerance(near_surface: Tensor) -> None:
-    """Asked for just what float32 can reach, every root settles, and is as good as tolerance and rounding together."""
+    """Every root settles, to within tolerance plus rounding, if float32 can just reach the tolerance."""
     settings = RenderSettings(tolerance_m=reachable_residual_m(torch.float32, SUV.scale_m), final_newton_m=0.0)
     theta = torch.tensor([14.0, 0.0, 0.0, 0.4, 0.0, 0.0], dtype=torch.float64)
     rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""Poses, boxes, overlaps, box codes and surface distances: float32 against float64, to bounds by operation."""
+"""Poses, boxes, overlaps, box codes and surface distances in float32 against float64, within bounds by operation."""
 
 import math
 
@@ -17,13 +17,13 @@ from shift3d.sdf.meshes import distance_to_surface
 
 @pytest.fixture(scope="module")
 def poses() -> torch.Tensor:
-    """(50, 6), as float32 holds them."""
+    """Poses (50, 6), as float32 holds them."""
     rng = np.random.default_rng(0)
     return torch.from_numpy(rng.uniform(-1, 1, (50, 6)) * [40, 40, 3, math.pi, 0.3, 0.3]).float()
 
 
 def random_boxes(count: int, seed: int) -> np.ndarray:
-    """(count, 7) float32 boxes close enough to overlap."""
+    """Return (count, 7) float32 boxes close enough to overlap."""
     rng = np.random.default_rng(seed)
     centre = rng.uniform(-1, 1, (count, 3)) * [4, 4, 0.4] + [30, -12, 0.8]
     size = rng.uniform(0.6, 1.4, (count, 3)) * [4.5, 1.9, 1.6]
@@ -31,14 +31,13 @@ def random_boxes(count: int, seed: int) -> np.ndarray:
 
 
 def test_rotations(poses: torch.Tensor) -> None:
-    """An entry is at most two products of three sines: each good to 2 u (libm), two products and a sum: 2 (6 + 3) u."""
+    """An entry has at most two products of three sines, accurate to 2 u (libm), two products, a sum: 2 (6 + 3) u."""
     worst = max(float((scene_R_object(p).double() - scene_R_object(p.double())).abs().max()) for p in poses)
     assert EMPTY * gamma(18) < worst < gamma(18)
 
 
 def test_frames(poses: torch.Tensor) -> None:
-    """Three products with entries that are off by 18 u each, and a difference before (or a sum after): 24 u of the
-    sum of the sizes of what is added."""
+    """Three products have entries off by 18 u, and a difference or a sum is added: 24 u of the addends' sizes."""
     generator = torch.Generator().manual_seed(0)
     points = 60 * torch.randn(200, 3, generator=generator)
     worst = 0.0
@@ -66,9 +65,10 @@ def test_boxes_are_computed_in_float64_whatever_they_come_in() -> None:
 
 
 def test_what_rounding_a_box_does_to_its_overlap() -> None:
-    """A corner moves by at most d = u (|x| + |y| + dx + dy + |heading| r), r half the diagonal. An outline of length L
-    that moves by d changes its area by L d, to first order; IoU = I / (A + B - I) by less than 3 L d / (A + B - I), for
-    both boxes.
+    """A corner moves by at most d = u (|x| + |y| + dx + dy + |heading| r), r half the diagonal.
+
+    An outline of length L that moves by d changes its area by L d, to first order; IoU = I / (A + B - I) by less than 3
+    L d / (A + B - I), for both boxes.
     """
     rng = np.random.default_rng(3)
     worst, bound_there = 0.0, 1.0
@@ -91,9 +91,10 @@ def test_what_rounding_a_box_does_to_its_overlap() -> None:
 
 
 def test_box_codes() -> None:
-    """Centres: a product and a sum (or a difference and a quotient), the diagonal good to 2 u: 5 u of the sizes.
-    Sizes: exp and log are good to 2 u, log of a quotient that is off by u by u more, absolutely. Heading: three sums of
-    what is at most 3 pi, and the remainder's own pi, which float32 holds to u pi: 8 u of 4 pi.
+    """Centres: a product and a sum (or a difference and a quotient), the diagonal accurate to 2 u: 5 u of the sizes.
+
+    Sizes: exp and log are accurate to 2 u, log of a quotient that is off by u to u more, absolutely. Heading: three
+    sums of at most 3 pi, and the remainder's own pi, which float32 holds to u pi: 8 u of 4 pi.
     """
     anchors = torch.from_numpy(random_boxes(300, 4))
     boxes = torch.from_numpy(random_boxes(300, 5))
@@ -110,7 +111,7 @@ def test_box_codes() -> None:
     assert bool(((decoded - truth).abs()[:, :2] <= 5 * U32 * size_xy).all())
     assert bool(((decoded - truth).abs()[:, 3:6] <= 5 * U32 * truth[:, 3:6]).all())
     turned = torch.remainder(decoded[:, 6] - truth[:, 6] + math.pi, 2 * math.pi) - math.pi
-    # A heading on the edge of a half turn may fall to the other side: those within the bound of it are left out.
+    # A heading on the edge of a half turn may fall to the other side: headings within their bound are left out.
     half = torch.remainder(truth[:, 6] - math.pi / 4, math.pi)
     plain = (half > 1e-5) & (half < math.pi - 1e-5)
     assert float(turned[plain].abs().max()) <= 8 * U32 * 4 * math.pi and plain.sum() > 290
@@ -125,8 +126,7 @@ def test_direction_bins_are_those_of_float64_away_from_their_edges() -> None:
 
 
 def test_surface_distances_are_computed_in_float64() -> None:
-    """Exactly those of the same places; and places rounded to float32 are off by at most sqrt(3) u |x|, and so is a
-    distance, whose slope is 1."""
+    """Distances equal those of the same places; rounding a place changes its distance by at most sqrt(3) u |x|."""
     mesh = trimesh.creation.icosphere(2, radius=1.0)
     points = np.random.default_rng(0).normal(size=(300, 3))
     rounded = points.astype(np.float32)

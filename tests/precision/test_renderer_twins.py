@@ -1,8 +1,8 @@
-"""Roots, solvers, gradients at the surface and constraints: float32 against float64 of the same.
+"""Roots, solvers, gradients at the surface and constraints in float32 against float64.
 
-Two runs whose roots are each good to |g| <= tol, in fields that differ by E (what rounding does to g, `rounding`), are
-at most (2 tol + E) / |dg/dk| apart, dg/dk being the smaller of the slopes at both: across a kink between them it is no
-smaller than the smaller one wherever the field is one of few pieces there.
+Two runs have roots of |g| <= tol each, in fields that differ by E (the effect of rounding on g, see `rounding`). Their
+roots are at most (2 tol + E) / |dg/dk| apart, where dg/dk is the smaller of the slopes at both: across a kink between
+them the slope is no smaller than that if the field has few pieces there.
 """
 
 from collections.abc import Callable
@@ -32,13 +32,13 @@ THETA = torch.tensor([14.0, 1.0, 0.0, 0.6, 0.02, -0.03], dtype=torch.float64)
 
 
 def test_roots() -> None:
-    """Roots of cubics whose three products and three sums float32 rounds: E = gamma(7) sum |c_i| |k|^i."""
+    """Float32 rounds three products and three sums of the cubic: E = gamma(7) sum |c_i| |k|^i."""
     generator = torch.Generator().manual_seed(0)
     root = 0.2 * torch.rand(500, generator=generator) - 0.1
     rise = 0.2 + torch.rand(500, generator=generator)
     # g = -(k - root) (rise + k^2): one root, slope at most -0.2 there; as sums of powers.
     powers = torch.stack((root * rise, -rise, root, -torch.ones(500)), 1)
-    tolerance = 1e-7  # about what float32 reaches here, so that its rounding shows
+    tolerance = 1e-7  # about float32's limit, so that its rounding shows
 
     def cubic(coefficients: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
         def g(k: Tensor, rows: Tensor) -> Tensor:
@@ -64,7 +64,7 @@ def test_roots() -> None:
 
 @dataclass(frozen=True)
 class Solver:
-    """Settings, how good their roots are (|g|, m), and how good as places (m)."""
+    """Settings, the accuracy of their roots as values (|g|, m), and as places (m)."""
 
     settings: RenderSettings
     value_m: float
@@ -74,7 +74,7 @@ class Solver:
 _PLAIN = preset("standard").with_(final_newton_m=0.0)
 SOLVERS = {
     "sphere_tracing": Solver(_PLAIN, _PLAIN.tolerance_m),
-    # A root is a quotient: as good as the two numbers.
+    # A root is a quotient: its accuracy is that of the two numbers.
     "piecewise_linear": Solver(preset("reference").with_(tolerance_m=1e-5, box_margin_m=0.05), 0.0),
     "plain_sphere_tracing": Solver(_PLAIN.with_(solver="plain_sphere_tracing"), _PLAIN.tolerance_m),
     # Thirty halvings of a step.
@@ -89,7 +89,7 @@ def fan_at_the_vehicle(count: int = 40) -> Beams:
 
 
 def slopes_and_rounding(drawn: Rendering, beams: Beams, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """|dg/dk| at some hits, in float64, and what float32 may change g by there; metric."""
+    """Return |dg/dk| at some hits, in float64, and the bound of g's change by float32 there; metric."""
     place = (beams.origins + drawn.range_m[:, None] * beams.directions)[rows]
     x_object = object_from_scene(place, THETA)
     x_sdf = x_object @ torch.from_numpy(SUV.sdf_R_object).T / SUV.scale_m + torch.from_numpy(SUV.sdf_t_object)
@@ -111,16 +111,16 @@ def test_solvers(name: str) -> None:
     bound = 2 * solver.place_m + (2 * solver.value_m + error) / torch.minimum(slope_1, slope_2)
     change = (single.range_m - double.range_m)[single.hit_mask].abs()
     assert bool((change <= bound).all()) and float((change / bound).max()) > EMPTY
-    # And the residual that a rendering states is that of its field, which float64 confirms to within rounding.
+    # The residual that a rendering states is that of its field, which float64 confirms within rounding.
     assert single.max_residual_m <= max(solver.value_m, float(error.max()) + solver.place_m)
 
 
 def test_gradients_at_the_surface() -> None:
     """dL/dpose and dL/dcode at the same hits, of a smooth shape whose formula takes some 60 operations.
 
-    dg/dv and dg/dk are off by d = gamma(60) times the sizes of what they sum, below 4 (arms of 2.5 m, normals of 1.5);
-    a range's derivative, -(dg/dv) / (dg/dk), by (1 / slope + |dg/dv| / slope^2) d; a point's coordinates by that times
-    their share of the beam, which the loss weighs by a cosine.
+    dg/dv and dg/dk are off by d = gamma(60) times the sizes of their terms, below 4 (arms of 2.5 m, normals of 1.5). A
+    range's derivative, -(dg/dv) / (dg/dk), is off by (1 / slope + |dg/dv| / slope^2) d; a point's coordinates by that
+    times their share of the beam, which the loss weighs by a cosine.
     """
     settings = preset("standard").with_(dtype=torch.float64, final_newton_m=0.0)
     beams = fan_at_the_vehicle(60)
@@ -146,7 +146,7 @@ def test_gradients_at_the_surface() -> None:
 
 
 def test_constraints() -> None:
-    """The deepest and the nearest of original points are values of the field: off by what rounding does to it."""
+    """Deepest and nearest original point are values of the field: their error is the field's rounding error."""
     generator = torch.Generator().manual_seed(0)
     offset = (torch.rand(300, 3, generator=generator, dtype=torch.float64) - 0.5) * torch.tensor([5.0, 2.2, 2.0])
     points = offset @ scene_R_object(THETA).T + THETA[:3]

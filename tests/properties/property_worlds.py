@@ -1,4 +1,4 @@
-"""What the property tests share: few fixed examples, motions, scans, shapes, and the bounds of float64 geometry."""
+"""Parts of all property tests: few fixed examples, motions, scans, shapes, and the bounds of float64 geometry."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shift3d.sdf.decoder import Architecture, Decoder
 
 U64 = torch.finfo(torch.float64).eps / 2
 EXACT = preset("standard").with_(dtype=torch.float64, tolerance_m=1e-12, final_newton_m=0.0, max_iterations=100)
-"""The fast renderer with roots as good as float64 has them."""
+"""The fast renderer with roots at float64's accuracy."""
 FAST64 = preset("standard").with_(dtype=torch.float64, final_newton_m=0.0)
 FARTHEST_M = 20_000.0
 ANGLES = st.floats(-math.pi, math.pi)
@@ -26,9 +26,9 @@ NUMBERS = st.integers(0, 2**32 - 1)
 
 
 def few(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """The same `count` examples in every run: a property that fails once fails always.
+    """Use the same `count` examples in every run: a failure repeats.
 
-    A failure is shown as it was found: making it smaller would take minutes of renderings.
+    A failure is shown without shrinking, which would take minutes of renderings.
     """
     return settings(
         max_examples=count,
@@ -41,7 +41,7 @@ def few(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
 
 def poses() -> st.SearchStrategy[Tensor]:
-    """Objects 12 to 16 m in front of the sensor, any attitude."""
+    """Draw objects 12 to 16 m in front of the sensor, in any attitude."""
     place = st.tuples(st.floats(12.0, 16.0), st.floats(-0.8, 0.8), st.floats(-0.9, 0.1))
     return st.tuples(place, st.tuples(ANGLES, ANGLES, ANGLES)).map(
         lambda parts: torch.tensor([*parts[0], *parts[1]], dtype=torch.float64)
@@ -49,14 +49,14 @@ def poses() -> st.SearchStrategy[Tensor]:
 
 
 def soft_cars() -> st.SearchStrategy[Field]:
-    """Smooth shapes by their six numbers."""
+    """Draw smooth shapes by their six numbers."""
     return st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(
         lambda code: in_frame(soft_car(torch.tensor(code, dtype=torch.float64)), SHAPENET_FRAME)
     )
 
 
 def shifts() -> st.SearchStrategy[Tensor]:
-    """(3,) moves of a whole scene, in the most 20 km along each axis, of any order of magnitude."""
+    """Draw moves (3,) of a whole scene, at most 20 km along each axis, of any order of magnitude."""
 
     def shift(number: int) -> Tensor:
         rng = np.random.default_rng(number)
@@ -68,7 +68,7 @@ def shifts() -> st.SearchStrategy[Tensor]:
 
 
 def rotations() -> st.SearchStrategy[Tensor]:
-    """(3, 3) rotations about any axis: from unit quaternions."""
+    """Draw rotations (3, 3) about any axis, from unit quaternions."""
     return NUMBERS.map(_rotation)
 
 
@@ -85,10 +85,10 @@ def _rotation(number: int) -> Tensor:
 
 
 def moved_pose(theta: Tensor, rotation: Tensor, shift_m: Tensor) -> Tensor:
-    """The pose of an object that moved rigidly with everything else.
+    """Return the pose of an object that moved rigidly with the whole scene.
 
-    Yaw first, roll from what is left without it: at a pitch of 90 degrees, where neither is determined, they still
-    make the same rotation together.
+    Yaw comes first, roll from the remaining rotation: at a pitch of 90 degrees, where neither is determined, both
+    together still make the same rotation.
     """
     turned = rotation @ scene_R_object(theta)
     yaw = math.atan2(float(turned[1, 0]), float(turned[0, 0]))
@@ -100,7 +100,7 @@ def moved_pose(theta: Tensor, rotation: Tensor, shift_m: Tensor) -> Tensor:
 
 
 def fan(rays: int = 16, far_m: float = 40.0, seed: int = 0) -> np.ndarray:
-    """(rays^2, 3) returns of a sensor at the origin, spread evenly about where `poses` are, by a fixed jitter."""
+    """Return (rays^2, 3) returns of a sensor at the origin, spread evenly about `poses`, with fixed jitter."""
     rng = np.random.default_rng(seed)
     y, z = np.meshgrid(np.linspace(-0.2, 0.2, rays), np.linspace(-0.15, 0.09, rays))
     ends = np.stack((np.ones(rays * rays), y.ravel(), z.ravel()), -1)
@@ -115,7 +115,7 @@ def draw(
 
 
 def slopes(rendering: Rendering, beams: Beams, field: Field, theta: Tensor, frame: Frame = SHAPENET_FRAME) -> Tensor:
-    """(H,) |e . grad g| at the hits, metric: by how much g changes per metre of range."""
+    """Return (H,) |e . grad g| at the hits, metric: the change of g per metre of range."""
     rows = rendering.hit_mask
     place = beams.origins[rows] + rendering.range_m[rows, None] * beams.directions[rows]
     x_object = object_from_scene(place, theta).requires_grad_()
@@ -125,12 +125,12 @@ def slopes(rendering: Rendering, beams: Beams, field: Field, theta: Tensor, fram
 
 
 def known_to_m(slope: Tensor, range_m: Tensor, tolerance_m: float = EXACT.tolerance_m) -> Tensor:
-    """How well the range of a root is known: |g| within the tolerance, or its bracket shrunk to 1e-12 (see `roots`)."""
+    """Bound the error of a root's range: |g| within the tolerance, or its bracket shrunk to 1e-12 (see `roots`)."""
     return tolerance_m / slope + 1e-12 * (1.0 + range_m)
 
 
 def random_decoder(number: int, code_length: int = 4) -> Decoder:
-    """A small ReLU network of the published layout with random weights: any shape, or none, or several."""
+    """Return a small ReLU network of the published layout with random weights: any shape, or none, or several."""
     torch.manual_seed(number)
     decoder = Decoder(Architecture(code_length=code_length, width=24, hidden_layers=5, skip_layer=3)).folded().double()
     for layer in decoder.layers:
@@ -140,6 +140,6 @@ def random_decoder(number: int, code_length: int = 4) -> Decoder:
 
 
 def random_object(number: int, code: Tensor) -> Field:
-    """An octahedron with a random ReLU network's bumps on it: one piece, edges everywhere, differentiable by code."""
+    """Return an octahedron with bumps of a random ReLU network: one piece, edges everywhere, differentiable by code."""
     bumps = random_decoder(number).field(code)
     return lambda x: 0.5 * x.abs().sum(-1) - 0.35 + 0.1 * bumps(x)

@@ -38,7 +38,7 @@ def test_codes_up_to_twenty_times_the_priors_length(times: float, number: int, t
     settings = preset("standard")
     drawn = render(FEW_BEAMS, DECODER.field(code), pose, SUV, settings)
     assert torch.isfinite(drawn.points).all() and torch.isfinite(drawn.range_m).all()
-    # The sensor is 12 m away or more: nothing is unresolved for being inside.
+    # The sensor is at least 12 m away: it is in no object, so no beam is unresolved.
     assert drawn.unresolved_beams == 0
     if drawn.object_points:
         drawn.points.sin().sum().backward()
@@ -60,7 +60,7 @@ def test_a_code_as_long_as_float32_holds(exponent: float, number: int) -> None:
     code = (direction / direction.norm() * 10.0**exponent).float().requires_grad_()
     drawn = render(FEW_BEAMS, DECODER.field(code), theta, SUV, preset("standard"))
     assert torch.isfinite(drawn.points).all() and math.isfinite(drawn.max_residual_m)
-    # What the decoder makes of it: a distance of a whole unit everywhere.
+    # The decoder's field of this code is a whole unit everywhere.
     assert float(metric_of_suv(code.detach(), torch.tensor([[14.0, 0.0, -0.4]]).double(), theta.detach())) > 2.0
     assert (drawn.object_points, drawn.unresolved_beams) == (0, 0)
 
@@ -70,9 +70,9 @@ def test_a_code_as_long_as_float32_holds(exponent: float, number: int) -> None:
 def test_a_field_that_is_not_finite_somewhere_loses_beams_and_says_how_many(
     edge: float, theta: Tensor, what: float
 ) -> None:
-    """Beams are as they would be without it, or they stay where they were and are counted."""
+    """Beams equal those of the finite field, or keep their returns and are counted."""
     whole = sphere(1.0)
-    # Towards the sensor, so that beams that hit pass it before; at `edge` of the object's width.
+    # Towards the sensor, so that a beam passes it before its hit; at `edge` of the object's width.
     nose = torch.nn.functional.normalize(object_from_scene(torch.zeros(1, 3).double(), theta), dim=1)[0]
     side = torch.linalg.cross(nose, torch.tensor([0.3, -0.5, 0.8], dtype=torch.float64))
 
@@ -96,10 +96,10 @@ def test_a_field_that_is_not_finite_somewhere_loses_beams_and_says_how_many(
 @few(25)
 @given(number=st.integers(0, 10_000), theta=poses())
 def test_random_networks_have_no_hit_before_the_first_root(number: int, theta: Tensor) -> None:
-    """Held against every linear piece of the network, walked from the box on without any bound on the slope."""
+    """Hits are compared with every linear piece of the network, walked from the box on without a slope bound."""
     code = torch.ones(4, dtype=torch.float64)
     field = random_decoder(number).field(code)
-    # A network that is negative at the sensor has it inside: such beams are unresolved, by right.
+    # A network that is negative at the sensor has the sensor inside: such beams are rightly unresolved.
     at_sensor = ObjectField.of(field, SHAPENET_FRAME, torch.float64, 64)(object_from_scene(torch.zeros(1, 3), theta))
     assume(float(at_sensor) > 0)
     walked = draw(
@@ -108,7 +108,7 @@ def test_random_networks_have_no_hit_before_the_first_root(number: int, theta: T
     fast = draw(FEW_BEAMS, field, theta, EXACT)
     assert torch.isfinite(fast.points).all()
     assert fast.unresolved_beams == walked.unresolved_beams == 0
-    # Short chords may be missed, nothing is made up.
+    # Short chords may be missed, but no hit is invented.
     assert not bool((fast.hit_mask & ~walked.hit_mask).any())
     both = fast.hit_mask
     slope = slopes(fast, FEW_BEAMS, field, theta)
@@ -136,7 +136,7 @@ PIECES = st.lists(
 @few(15)
 @given(pieces=PIECES, theta=poses())
 def test_a_shape_in_pieces_is_hit_at_its_nearest_piece(pieces: list[tuple[float, ...]], theta: Tensor) -> None:
-    """The range of a beam e through spheres of radius r about c: least of e c - sqrt(r^2 - d^2)."""
+    """The range of a beam e through spheres of radius r about c is the least of e c - sqrt(r^2 - d^2)."""
     field = in_frame(union(*[sphere(r, (x, y, z)) for x, y, z, r in pieces]), SHAPENET_FRAME)
     drawn = draw(BEAMS, field, theta)
     centres = scene_from_object(torch.tensor([p[:3] for p in pieces], dtype=torch.float64), theta)
@@ -145,7 +145,7 @@ def test_a_shape_in_pieces_is_hit_at_its_nearest_piece(pieces: list[tuple[float,
     off = (centres - along[..., None] * BEAMS.directions[:, None]).norm(dim=-1)
     half = (radius.square() - off.square()).clamp_min(0.0).sqrt()
     entry = torch.where(half > 0, along - half, torch.inf).amin(1)
-    # Of chords shorter than a step one may be missed; then the next piece is hit, or none.
+    # A chord shorter than a step may be missed; the beam then hits the next piece, or none.
     plain = (2 * half > 1.5 * EXACT.step_m) | (half == 0)
     rows = plain.all(1)
     assert torch.equal(drawn.hit_mask[rows], torch.isfinite(entry[rows]))

@@ -1,4 +1,4 @@
-"""An attack ends with finite numbers whatever weight and step length it is given: lambda and alpha from 0 to 1e6."""
+"""An attack ends with finite numbers for any weight and step length: lambda and alpha from 0 to 1e6."""
 
 import math
 
@@ -25,7 +25,7 @@ SETTINGS = preset("standard").with_(dtype=torch.float64)
 
 
 def near_scan() -> Beams:
-    """The part of a scan that looks at the object."""
+    """Return the part of a scan that faces the object."""
     points, origin = ground_scan(rings=40, columns=400)
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     return Beams.from_arrays(points[np.abs(azimuth) < 0.4], origin)
@@ -33,7 +33,7 @@ def near_scan() -> Beams:
 
 THETA = torch.tensor([9.0, 0.5, -1.03, 0.4, 0.0, 0.0], dtype=torch.float64)
 RULES = Constraints(overlap_m=10.0, contact_m=math.inf, min_object_points=0)
-"""Any object will do: so that steps are kept, wherever they lead."""
+"""Constraints that any object meets, so that every step is kept."""
 BEAMS = near_scan()
 PROBLEMS = {
     "smooth shape": AttackProblem(
@@ -50,9 +50,9 @@ EITHER = pytest.mark.parametrize("name", list(PROBLEMS))
 
 def ended_well(result: AttackResult, problem: AttackProblem) -> None:
     assert torch.isfinite(result.latent_code).all() and torch.isfinite(result.theta).all()
-    # Either every step was taken, or the last one left the finite numbers and the search says so.
+    # Either every step was taken, or the last step left the finite numbers and the search reports it.
     assert (len(result.trace) == STEPS + 1) != (result.status == "diverged")
-    # A loss is not finite only where the penalty itself overflows (it is of order alpha^2 lambda |gradient|^2).
+    # A loss is infinite only if the penalty itself overflows (it is of order alpha^2 lambda |gradient|^2).
     assert all(math.isfinite(record.adversarial_loss) for record in result.trace)
     assert all(record.unresolved_beams >= 0 and math.isfinite(record.max_residual_m) for record in result.trace)
     if result.best_step == 0:
@@ -69,8 +69,8 @@ def test_the_shape_attack_ends(name: str, weight: float, alpha: float) -> None:
     result = attack_shape(problem, weight, alpha, STEPS)
     ended_well(result, problem)
     if alpha == 0.0:
-        # Nothing moves, so every record is that of the start: the first is searched cold and may differ in a beam at
-        # the silhouette, the others follow it and only come closer to the same roots.
+        # Nothing moves, so every record is that of the start. The first rendering is cold and may differ in a beam at
+        # the silhouette; the others are warm and only come closer to the same roots.
         assert torch.equal(result.latent_code, problem.code0)
         cold, *warm = [record.adversarial_loss for record in result.trace]
         assert max(warm) - min(warm) <= 1e-5 * max(warm)
@@ -85,7 +85,7 @@ def test_the_pose_attack_ends_within_its_limits(name: str, alpha: float) -> None
     result = attack_pose(problem, alpha, STEPS)
     ended_well(result, problem)
     change = result.theta - problem.theta0
-    # Projected: to the limit, whose product with a unit vector is rounded three times.
+    # Projected to the limit, whose product with a unit vector is rounded three times.
     assert float(change[:2].norm()) <= PAPER_LIMITS.max_shift_m * (1 + 1e-15 * 9.0)
     assert float(change[4:].abs().max()) <= PAPER_LIMITS.max_tilt_rad * (1 + 1e-15)
     assert result.best_step > 0
@@ -94,7 +94,7 @@ def test_the_pose_attack_ends_within_its_limits(name: str, alpha: float) -> None
 
 
 def test_the_problems_are_seen() -> None:
-    """So that the properties say something: both objects are rendered, and both have a gradient to follow."""
+    """The properties would be vacuous otherwise: both objects are rendered, and both have a gradient."""
     for problem in PROBLEMS.values():
         result = attack_shape(problem, 0.0, 0.01, 1)
         assert result.trace[0].check.object_points > 50

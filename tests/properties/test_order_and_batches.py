@@ -1,4 +1,4 @@
-"""The order of points, repeated points, and how beams are grouped change nothing, or no more than rounding does."""
+"""The order of points, repeated points and the grouping of beams change nothing, or no more than rounding does."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def detector(request: pytest.FixtureRequest) -> TrainedDetector:
 
 @pytest.fixture(scope="module")
 def scene() -> Tensor:
-    """Points all about the grid, dense about CENTRE, with some rows that come twice and some that are not finite."""
+    """Points all about the grid, dense about CENTRE, with some rows twice and some that are not finite."""
     generator = torch.Generator().manual_seed(1)
     dense = torch.randn(1500, 3, generator=generator) * torch.tensor([6.0, 6.0, 0.5]) + torch.tensor([*CENTRE, 1.0])
     points = torch.cat((random_scene(1500), dense, dense[:200]))
@@ -46,10 +46,10 @@ def test_scores_do_not_depend_on_the_order_of_points(detector: TrainedDetector, 
 @few(4)
 @given(times=st.integers(2, 6))
 def test_every_point_several_times_is_every_point_once(times: int) -> None:
-    """A pillar's mean and its maximum are those of the same places.
+    """A pillar's mean and maximum are those of the same places, in float64.
 
-    In float64. The sum of n points of at most 75 m is off by n u 75 m times n, their mean by n u 75 m: so far may the
-    offsets to it differ. What that does to a logit is its derivative by them, to first order; twice that is ample.
+    The sum of n points of at most 75 m is off by n u 75 m times n, their mean by n u 75 m, and so are offsets to it. A
+    logit changes by that times its derivative by them, to first order; the test allows twice as much.
     """
     detector = TrainedDetector(random_net("pointpillars"), "float64")
     window = detector.window_for(CENTRE, 5.0)
@@ -75,7 +75,7 @@ def test_renderings_follow_the_order_of_points(theta: Tensor, number: int) -> No
     field = in_frame(car(), SHAPENET_FRAME)
     before = draw(Beams.from_arrays(points, np.zeros(3)), field, theta, FAST64)
     after = draw(Beams.from_arrays(points[order], np.zeros(3)), field, theta, FAST64)
-    # Bit for bit: this field's values do not depend on their place in a batch, and nothing else may.
+    # Bit for bit: this field's values do not depend on their place in a batch, so no result may.
     assert before.hit_mask.sum() > 10
     assert torch.equal(after.hit_mask, before.hit_mask[order])
     assert torch.equal(after.points, before.points[order]) and torch.equal(after.range_m, before.range_m[order])
@@ -90,7 +90,7 @@ def test_points_that_come_twice_are_rendered_alike(theta: Tensor, number: int) -
     once = draw(Beams.from_arrays(points, np.zeros(3)), field, theta)
     twice = draw(Beams.from_arrays(np.concatenate((points, points[again])), np.zeros(3)), field, theta)
     assert torch.equal(twice.points[len(points) :], twice.points[again])
-    # How many beams are under way decides how many steps are taken at once: other samples, the same crossings.
+    # The number of active beams decides how many steps are taken at once: other samples, the same crossings.
     assert torch.equal(twice.hit_mask[: len(points)], once.hit_mask)
     hit = once.hit_mask
     slope = slopes(once, Beams.from_arrays(points, np.zeros(3)), field, theta)
@@ -118,14 +118,14 @@ def test_beams_rendered_apart_are_beams_rendered_together(
         for part in np.split(points, sorted(set(cuts)))
     ]
     hit = torch.cat([part.hit_mask for part in parts])
-    # Samples lie elsewhere where the few beams that are left are stepped ahead: a chord shorter than the smallest
-    # step is found by chance, a longer one is not.
+    # Samples differ where the few remaining beams are stepped ahead: a chord shorter than the smallest step is found by
+    # chance, a longer chord always.
     assert not bool((hit ^ whole.hit_mask)[_long_chords(beams, field, theta)].any())
     both = hit & whole.hit_mask
     if both.any():
         change = (torch.cat([part.range_m for part in parts]) - whole.range_m)[both].abs()
         slope = slopes(whole, beams, field, theta)[both[whole.hit_mask]]
-        # The same holds for a short chord in front of a long one: there the crossing may be another.
+        # The same holds for a short chord in front of a long one: the crossing may then differ.
         same_crossing = change < 0.01
         assert same_crossing.double().mean() > 0.98
         bound = 2 * known_to_m(slope, whole.range_m[both])
@@ -133,7 +133,7 @@ def test_beams_rendered_apart_are_beams_rendered_together(
 
 
 def _long_chords(beams: Beams, field: Field, theta: Tensor) -> Tensor:
-    """(N,) bool: beams that stay inside for more than 2.5 of the smallest steps, as samples of a third show."""
+    """Return (N,) bool: beams inside for more than 2.5 of the smallest steps, by samples at a third of a step."""
     k = float(theta[:3].norm()) + torch.arange(-3.5, 3.5, EXACT.step_m / 3, dtype=torch.float64)
     metric = ObjectField.of(field, SHAPENET_FRAME, torch.float64, 4096)
     with torch.no_grad():

@@ -1,14 +1,14 @@
-"""Moving the whole scene, up to 20 km and by any rotation, changes neither what is hit nor a score, to a bound.
+"""Moving the whole scene, up to 20 km and by any rotation, changes no hit and no score, within a bound.
 
-The bound. At a distance D from the origin of coordinates a float64 coordinate is a multiple of 2 u D, u = 1.1e-16, so
-that storing a place moves it by up to sqrt(3) u D, and rotating it by a few u of its (local) length before that is
-small beside it. A hit depends on three stored places, sensor, return and object; the beam may so be displaced against
+The bound. At a distance D from the origin of coordinates a float64 coordinate is a multiple of 2 u D, u = 1.1e-16.
+Storing a place therefore moves it by up to sqrt(3) u D; rotating it by a few u of its (local) length before that is
+small in comparison. A hit depends on three stored places: sensor, return and object. The beam may be displaced against
 the object by 2 sqrt(3) u D at its own sensor and centre, and as much again at its return: E = 4 sqrt(3) u D, 4.3e-11 m
-at D = 35 km (20 km along each axis). Attitude angles are rounded too: u times pi times the reach of a beam (40 m).
-The range of a hit then changes by E / |e . grad g|, and each of the two roots is known to `known_to_m`.
+at D = 35 km (20 km along each axis). Attitude angles are rounded too: u times pi times the reach of a beam (40 m). The
+range of a hit then changes by E / |e . grad g|, and the error of each of the two roots is `known_to_m`.
 
 What is NOT invariant: a detector sees its sensor's frame, in which its cells and anchors lie. Turning the world under a
-sensor that stays changes a score, by right. What holds is the pipeline: a world that moves with its sensor is, in the
+fixed sensor rightly changes a score. The invariant is the pipeline's: a world that moves with its sensor is, in the
 sensor's frame, the same scene.
 """
 
@@ -48,7 +48,7 @@ SHAPES = st.one_of(
 
 
 def displaced_m(shift: Tensor) -> float:
-    """E of the module's text."""
+    """Return E of the module's docstring."""
     return 4 * math.sqrt(3) * U64 * float(shift.norm() + 40.0) + math.pi * U64 * 40.0
 
 
@@ -64,7 +64,7 @@ def test_hits_move_with_the_scene(theta: Tensor, field: Field, rotation: Tensor,
     hit = before.hit_mask
     assert hit.sum() > 10
     change = (before.range_m - after.range_m).abs()
-    # A beam that misses keeps its return, which was stored again.
+    # A beam that misses keeps its return, which was stored once more.
     assert float(change[~hit].max()) <= displaced_m(moved_by)
     slope = slopes(before, HERE, field, theta)
     bound = displaced_m(moved_by) / slope + 2 * known_to_m(slope, before.range_m[hit])
@@ -78,7 +78,7 @@ def test_hits_move_with_the_scene(theta: Tensor, field: Field, rotation: Tensor,
 def test_the_score_of_a_world_that_moves_with_its_sensor(
     theta: Tensor, field: Field, heading: float, moved_by: Tensor
 ) -> None:
-    """A vehicle's pose in a map, in float64, in and out of the sensor's frame: the detector's answer stays."""
+    """A vehicle's pose goes to a map in float64 and back to the sensor's frame: the detector's answer stays."""
     turn = scene_R_object(torch.tensor([0.0, 0.0, 0.0, heading, 0.0, 0.0], dtype=torch.float64))
     in_world = torch.from_numpy(POINTS) @ turn.T + moved_by
     came_back = (in_world - moved_by) @ turn
@@ -96,8 +96,8 @@ def test_the_score_of_a_world_that_moves_with_its_sensor(
     assert torch.equal(before.hit_mask, after.hit_mask)
     leaf = before.points.clone().requires_grad_()
     (sensitivity,) = torch.autograd.grad(loss_of(leaf), leaf)
-    # Every point moves by less than this, a hit along its beam: to first order the loss by |gradient| times that, and
-    # twice as much is ample for the second order of a move of 1e-10 m. The loss's own sums add their rounding.
+    # Every point moves by less than this, a hit along its beam. To first order the loss changes by |gradient| times
+    # that; twice as much covers the second order of a move of 1e-10 m. The loss's own sums add their rounding.
     moves = torch.full((len(POINTS),), 2 * displaced_m(moved_by), dtype=torch.float64)
     slope = slopes(before, HERE, field, theta)
     moves[before.hit_mask] += displaced_m(moved_by) / slope + 2 * known_to_m(slope, before.range_m[before.hit_mask])
@@ -107,7 +107,7 @@ def test_the_score_of_a_world_that_moves_with_its_sensor(
 
 
 def test_turning_the_world_under_the_sensor_does_change_a_score() -> None:
-    """So that the property above says something: the detector is not blind to where things are."""
+    """The property above would be vacuous if the detector ignored places."""
     theta = torch.tensor([14.0, 0.0, -1.0, 0.3, 0.0, 0.0], dtype=torch.float64)
     points = draw(HERE, in_frame(car(), SHAPENET_FRAME), theta).points
     turn = scene_R_object(torch.tensor([0.0, 0.0, 0.0, 0.4, 0.0, 0.0], dtype=torch.float64))

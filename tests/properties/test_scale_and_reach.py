@@ -1,4 +1,4 @@
-"""A scaled object in closed form, an object beyond every beam, and angles that mean the same attitude."""
+"""A scaled object in closed form, an object beyond every beam, and angles of the same attitude."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,7 @@ def scaled(frame: Frame, factor: float) -> Frame:
 @given(factor=st.floats(0.25, 2.5), theta=poses())
 @PRESETS
 def test_a_scaled_sphere_is_where_geometry_puts_it(name: str, factor: float, theta: Tensor) -> None:
-    """Range of a beam e through a sphere of radius r about c: e c - sqrt(r^2 - d^2), d its distance from c."""
+    """The range of a beam e through a sphere of radius r about c is e c - sqrt(r^2 - d^2), d its distance from c."""
     settings = preset(name)
     unit = Frame(size_m=(2.0, 2.0, 2.0), scale_m=1.05, sdf_R_object=SHAPENET_FRAME.sdf_R_object)
     frame, radius_m = scaled(unit, factor), factor
@@ -39,8 +39,8 @@ def test_a_scaled_sphere_is_where_geometry_puts_it(name: str, factor: float, the
     # Every chord longer than a step is found.
     assert bool(drawn.hit_mask[2 * half_m > 1.01 * settings.step_m].all())
     hit = drawn.hit_mask & (half_m > 0.05 * radius_m)
-    # |e . grad g| is half / r there, and rounding adds what the API says. For coordinates: the sphere's norm is taken
-    # of three of them, so is off by u as often again. The paper's bisections end at 0.1 m / 2^30.
+    # |e . grad g| is half / r there, and rounding adds the API's statement. Coordinates: the sphere's norm is taken of
+    # three of them, so it is off by u as often again. The paper's bisections end at 0.1 m / 2^30.
     value_m = (settings.tolerance_m if name != "paper" else 0.0) + 2 * settings.reachable_residual_m(frame.scale_m)
     bound = value_m * radius_m / half_m[hit] + (settings.step_m / 2**30 if name == "paper" else 0.0)
     assert bool(((drawn.range_m - (along - half_m))[hit].abs() <= bound * (1 + settings.tolerance_m / 0.01)).all())
@@ -58,8 +58,8 @@ def test_a_world_twice_the_size_is_seen_from_twice_as_far(factor: float, theta: 
     after = draw(beams, field, bigger, settings, scaled(SHAPENET_FRAME, factor))
     slope = slopes(before, BEAMS, field, theta)
     both = before.hit_mask & after.hit_mask
-    # Every length of the renderer but the spacing of its looks into flat crossings is scaled along: chords that only
-    # these find are few.
+    # Every length of the renderer scales along, except the spacing of its samples of flat crossings, which alone find
+    # only a few chords.
     assert int((before.hit_mask ^ after.hit_mask).sum()) <= 1 and both.sum() > 10
     change = (after.range_m / factor - before.range_m)[both].abs()
     slope = slope[both[before.hit_mask]]
@@ -75,7 +75,7 @@ def test_a_world_twice_the_size_is_seen_from_twice_as_far(factor: float, theta: 
 def test_an_object_beyond_every_beam_changes_nothing_bit_for_bit(
     name: str, direction: tuple[float, float], beyond_m: float, attitude: tuple[float, ...]
 ) -> None:
-    """Farther than every return by more than the sphere about the object, 7 m."""
+    """The object is farther than every return by more than the radius of the sphere about it, 7 m."""
     azimuth, elevation = direction
     way = [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
     points = np.concatenate((POINTS.astype(np.float32), np.float32([[0, 0, 0], [np.nan, 1, 1], [-np.inf, 0, 0]])))
@@ -91,7 +91,7 @@ def test_an_object_beyond_every_beam_changes_nothing_bit_for_bit(
 @few(12)
 @given(theta=poses(), field=soft_cars(), which=st.sampled_from([3, 4, 5]), turns=st.integers(-3, 3))
 def test_an_angle_of_pi_is_one_of_minus_pi(theta: Tensor, field: Field, which: int, turns: int) -> None:
-    """An angle a + 2 pi n is stored to u |a + 2 pi n|, and pi itself is no float64: so far may the object turn."""
+    """An angle a + 2 pi n is stored to u |a + 2 pi n|, and pi itself is no float64: the object may turn by that."""
 
     def at(angle: float) -> tuple[Rendering, Tensor]:
         pose = theta.clone()
@@ -109,8 +109,8 @@ def test_an_angle_of_pi_is_one_of_minus_pi(theta: Tensor, field: Field, which: i
     bound = (turned * 3.0 + 16 * U64 * 40.0) / slope + 2 * known_to_m(slope, one.range_m[one.hit_mask])
     assert torch.equal(one.hit_mask, other.hit_mask) and one.hit_mask.sum() > 10
     assert bool(((one.range_m - other.range_m)[one.hit_mask].abs() <= bound).all())
-    # A range's derivative by an angle is g_angle / slope. Where the hit moves by d, it changes by up to
-    # d (8 / m)(2.5 m)(1 / slope + 1 / slope^2): curvatures of these shapes are below 8 / m (2.4 m over 0.56 m squared),
-    # arms below 2.5 m, slopes floored. The loss weighs a coordinate by at most 1, and there are three.
+    # A range's derivative by an angle is g_angle / slope. If the hit moves by d, the derivative changes by up to d (8 /
+    # m)(2.5 m)(1 / slope + 1 / slope^2): curvatures of these shapes are below 8 / m (2.4 m over 0.56 m squared), arms
+    # below 2.5 m, slopes floored. The loss weighs each of three coordinates by at most 1.
     moved = 3 * float((bound * 20.0 * 2.0 / EXACT.min_n_dot_d**2).sum())
     assert float((gradient_one - gradient_other).abs().max()) <= moved

@@ -1,13 +1,13 @@
-"""Makes schema_N/: the output folder of a sweep that was stopped after two of its four tasks, by schema version N.
+"""Makes schema_N/: the output folder of a sweep stopped after two of its four tasks, by schema version N.
 
-Each was made by the last program of its version, at the commit in COMMITS. To make it again, or that of a version that
-has just become an older one:
+Each was made by the last program of its version, at the commit in COMMITS. To make a folder again, or that of a version
+that has just become an older one:
 
     git worktree add /tmp/older COMMIT
     cp tests/reference/make_schema_folder.py /tmp/older/tests/reference/
     cd /tmp/older && PYTHONPATH=. python tests/reference/make_schema_folder.py
 
-The task is the cheap one of tests/service, so the folder is small; a program that reads it must come to the same final
+The task is the cheap one of tests/service, so the folder is small. A program that reads it must give the same final
 tables as in a folder of its own.
 """
 

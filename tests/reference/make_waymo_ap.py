@@ -1,4 +1,4 @@
-"""Makes waymo_ap.json: random crowded frames, and what Waymo's own metrics library says about them.
+"""Makes waymo_ap.json: random crowded frames, and the results of Waymo's own metrics library for them.
 
 Run in an environment of its own, with Python 3.11: ``pip install tensorflow-cpu==2.13.0``, then the wheel of
 waymo-open-dataset-tf-2-12-0 1.6.7, unpacked (only its compiled metrics are used), whose folder is the argument:
@@ -18,7 +18,7 @@ FRAMES, CARS, DETECTIONS = 8, 9, 15
 
 
 def make_frames() -> list[dict[str, list]]:
-    """Cars so near each other, some through each other, that detections compete; scores never at a cut-off."""
+    """Make frames of cars so near each other, some overlapping, that detections compete; scores never at a cut-off."""
     rng = np.random.default_rng(20)
     frames = []
     for _ in range(FRAMES):
@@ -30,7 +30,7 @@ def make_frames() -> list[dict[str, list]]:
         spread = np.array([0.3, 0.1, 0.1, 0.15, 0.1, 0.1, 0.1])
         found = truth[rng.integers(0, CARS, DETECTIONS)] + rng.normal(0, 1, (DETECTIONS, 7)) * spread
         found[:, 6] += np.pi * (rng.random(DETECTIONS) < 0.3)
-        found[-2:, 1] += 20.0  # two that are wrong
+        found[-2:, 1] += 20.0  # two false detections
         frames.append(
             {
                 "truth": np.round(truth, 3).tolist(),
@@ -44,7 +44,7 @@ def make_frames() -> list[dict[str, list]]:
 
 
 def evaluate(folder: Path, frames: list[dict[str, list]], view: str, iou_threshold: float) -> list[dict]:
-    """The library's AP, APH and curves of vehicles: all and by range, both levels."""
+    """Return the library's AP, APH and curves of vehicles: all and by range, both levels."""
     sys.path.insert(0, str(folder))
     import tensorflow as tf
     from google.protobuf import text_format
@@ -90,7 +90,7 @@ def evaluate(folder: Path, frames: list[dict[str, list]], view: str, iou_thresho
 
 
 def main() -> None:
-    """Print the frames and the library's answers as JSON."""
+    """Print the frames and the library's results as JSON."""
     frames = make_frames()
     answers = [
         answer

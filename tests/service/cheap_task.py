@@ -1,4 +1,4 @@
-"""A real but cheap kind of task: a pure function of its spec, run through the same service as the real one.
+"""A real but cheap kind of task: a pure function of its spec, run through the same service as the real task.
 
 SHIFT3D_TEST_* variables make it slow, or make a chosen task fail, hang, kill its process, or return a bad row.
 """
@@ -28,9 +28,9 @@ POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 def load(spec: AssetsSpec) -> dict[str, float]:
-    """What scales the scores, from the decoder's file where the settings name a folder of vehicles.
+    """Return the scale of the scores, from the decoder's file if the settings name a folder of vehicles.
 
-    SHIFT3D_TEST_DATA: a folder that has to be there.
+    SHIFT3D_TEST_DATA: a folder that has to exist.
     """
     if (data := os.environ.get("SHIFT3D_TEST_DATA")) and not Path(data).is_dir():
         raise InputError("no such folder", where=data, remedy="Mount it")
@@ -97,7 +97,7 @@ def _misbehave(spec: TaskSpec) -> None:
 
 
 def _not_yet(variable: str) -> bool:
-    """True the first time only where a variable names a file to remember it by; always where it is not set."""
+    """True the first time only, if a variable names a file as memory; True always, if the variable is not set."""
     mark = os.environ.get(variable)
     if mark is None:
         return True
@@ -107,7 +107,7 @@ def _not_yet(variable: str) -> bool:
 
 
 def _eat() -> None:
-    """Ask for more memory than this process may have from now on, as under a limit that a cluster sets."""
+    """Request more memory than this process may have from then on, as under a cluster's limit."""
     size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (size + 64 * 2**20, before[1]))
@@ -118,7 +118,7 @@ def _eat() -> None:
 
 
 def _jumping_clock(seed: int) -> Callable[[], float]:
-    """A wall clock that is set back and forth by up to a day each time it is looked at."""
+    """Return a wall clock that jumps back and forth by up to a day at each reading."""
     chance, real = random.Random(seed), time.time
     return lambda: real() + chance.uniform(-86_400, 86_400)
 

@@ -1,4 +1,4 @@
-"""Sweeps that tests share: in a folder of their own, undisturbed, and finished ones to damage."""
+"""Sweeps shared by tests: in a folder of their own, undisturbed, and finished copies to damage."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def drivers(tmp_path: Path) -> Iterator[Drivers]:
 
 @pytest.fixture(scope="session")
 def undisturbed_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sweep that nobody disturbs, in process."""
+    """An undisturbed sweep, in process."""
     drivers = Drivers(tmp_path_factory.mktemp("undisturbed"))
     code, _, errors = drivers.run("out", "runner=local")
     assert code == 0, errors
@@ -28,11 +28,11 @@ def undisturbed_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def undisturbed(undisturbed_folder: Path) -> dict[str, bytes]:
-    """Its final/."""
+    """Files of its final/ folder."""
     return Drivers(undisturbed_folder.parent).final("out")
 
 
 @pytest.fixture
 def finished(drivers: Drivers, undisturbed_folder: Path) -> Path:
-    """A copy of it that a test may damage."""
+    """A copy of the undisturbed sweep that a test may damage."""
     return Path(shutil.copytree(undisturbed_folder, drivers.folder / "out"))

@@ -1,4 +1,4 @@
-"""The shift3d command with the cheap task in place of the real one: what the fault tests run, start and kill."""
+"""The shift3d command with the cheap task in place of the real one: fault tests run, start and kill it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs real drivers, most of them as processes, and reads what they left."""
+"""Runs real drivers, most of them as processes, and reads their output folders."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ QUICK = ("scenes.count=4", "attack.lambda=1,10", "tracking=none")
 
 
 class Drivers:
-    """Sweep commands in a folder of their own; whatever is still running at the end of a test is killed."""
+    """Sweep commands in a folder of their own. Processes still running at the end of a test are killed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -48,10 +48,10 @@ class Drivers:
     def run(
         self, out: str, *words: str, prefix: tuple[str, ...] = (), alone: bool = False, **environment: str
     ) -> tuple[int, str, str]:
-        """(exit code, stdout, stderr) of a command that ends by itself.
+        """Run a command that ends by itself. Returns (exit code, stdout, stderr).
 
-        In this process: one of its own (`alone`, or a prefix) takes seconds, and is for what is limited, or changed as
-        it starts.
+        The default is this process. A separate process (`alone`, or a prefix) takes seconds, and is for limits, or for
+        changes at its start.
         """
         if not prefix and not alone:
             return self.run_here(self._words(out, *words), **environment)
@@ -60,7 +60,7 @@ class Drivers:
         return process.returncode, output, errors
 
     def run_here(self, words: list[str], **environment: str) -> tuple[int, str, str]:
-        """(exit code, stdout, stderr) of any command, in this process."""
+        """Run any command in this process. Returns (exit code, stdout, stderr)."""
         import driver
 
         output, errors = io.StringIO(), io.StringIO()
@@ -77,12 +77,12 @@ class Drivers:
         return {name: (self.folder / out / "final" / f"{name}.parquet").read_bytes() for name in DETERMINISTIC}
 
     def committed(self, out: str) -> list[str]:
-        """Task ids in the log, in order, repetitions included."""
+        """Return the task ids of the log in order, repetitions included."""
         entries = sorted((self.folder / out / "_log").glob("[0-9]*.json"))
         return [task for entry in entries for task in json.loads(entry.read_text())["done"].split()]
 
     def segments(self, out: str) -> set[str]:
-        """Segment files that the log names."""
+        """Return the segment files that the log names."""
         entries = [json.loads(entry.read_text()) for entry in (self.folder / out / "_log").glob("[0-9]*.json")]
         return {name for entry in entries for name in entry["segments"].values()}
 

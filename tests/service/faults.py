@@ -1,5 +1,4 @@
-"""What happens to a sweep in the middle of its work: each fault starts a driver in `out`, disturbs it for real, and
-returns when that driver has ended: with its exit code where it came to its end, None where it has to be resumed."""
+"""Faults of a running driver in `out`; each returns the driver's exit code, or None if the sweep must be resumed."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ IN_RAY = (*OFTEN, "runner.workers=2", "runner.batch_seconds=0.1")
 
 @dataclasses.dataclass
 class Round:
-    """One sweep that is disturbed. random: decides about the moment and the victim. ray: whether Ray runs it."""
+    """One disturbed sweep. random: selects moment and victim. ray: True if Ray runs the sweep."""
 
     drivers: Drivers
     random: random.Random
@@ -46,13 +45,13 @@ class Round:
         return code, errors
 
     def gives_up(self, *words: str, alone: bool = False, **environment: str) -> int:
-        """A run that ends with a quarantined task."""
+        """Check that a run ends with a quarantined task. Returns its exit code."""
         code, errors = self.run(*words, alone=alone, **environment)
         assert code == 3, errors
         return code
 
     def succeeds(self, alone: bool = False, **environment: str) -> int:
-        """A run that ends with nothing missing."""
+        """Check that a run ends with nothing missing. Returns its exit code."""
         code, errors = self.run(alone=alone, **environment)
         assert code == 0, errors
         return code
@@ -62,7 +61,7 @@ class Round:
 
 
 def torn_segment(here: Round) -> None:
-    """Killed in the middle of writing a segment: half a file under a temporary name, and one that no entry names."""
+    """Kill the driver while it writes a segment: half a file under a temporary name, and one that no entry names."""
     driver = here.start()
     here.some_commits()
     driver.kill()
@@ -75,12 +74,12 @@ def torn_segment(here: Round) -> None:
 
 
 def out_of_memory(here: Round) -> int:
-    """A task asks for more than its process may have."""
+    """Let a task request more memory than its process may have."""
     return here.gives_up(alone=True, SHIFT3D_TEST_HUNGRY=here.random.choice(TARGETS))
 
 
 def clock_jumps(here: Round) -> int:
-    """The wall clock goes back and forth by a day, and the driver is killed, too."""
+    """Set the wall clock back and forth by a day, and kill the driver, too."""
     driver = here.start(SHIFT3D_TEST_CLOCK=str(here.random.randint(1, 9)))
     here.some_commits()
     driver.kill()
@@ -89,7 +88,7 @@ def clock_jumps(here: Round) -> int:
 
 
 def worker_killed(here: Round) -> int:
-    """As the kernel's out-of-memory killer does it. The driver goes on."""
+    """Kill a worker like the kernel's out-of-memory killer. The driver goes on."""
     driver = here.start(seconds=0.1)
     here.some_commits()
     workers = descendants(driver.pid, "ray::RayWorker")
@@ -100,7 +99,7 @@ def worker_killed(here: Round) -> int:
 
 
 def worker_stopped(here: Round) -> int:
-    """A worker that is alive and does nothing, not even answer."""
+    """Stop a worker: it is alive, does nothing and does not answer."""
     driver = here.start("runner.task_timeout_s=1", seconds=0.1)
     here.some_commits()
     os.kill(here.random.choice(descendants(driver.pid, "ray::RayWorker")), signal.SIGSTOP)
@@ -110,7 +109,7 @@ def worker_stopped(here: Round) -> int:
 
 
 def driver_killed(here: Round) -> None:
-    """Twice, the second time with whatever it started."""
+    """Kill the driver twice, the second time with every process that it started."""
     for group in (False, True):
         driver = here.start(seconds=0.1)
         before = len(here.drivers.committed("out"))
@@ -120,7 +119,7 @@ def driver_killed(here: Round) -> None:
 
 
 def raylet_killed(here: Round) -> int | None:
-    """Ray's own process on this machine goes away under its driver and workers. They may come to the end without it."""
+    """Kill Ray's own process on this machine under its driver and workers, which may finish without it."""
     driver = here.start(seconds=0.1)
     here.some_commits()
     for process in descendants(driver.pid, "raylet/raylet"):
@@ -134,7 +133,7 @@ def exception(here: Round) -> int:
 
 
 def crash(here: Round) -> int:
-    """A task that ends its worker whenever it is run."""
+    """Let a task end its worker at every run."""
     return here.gives_up(SHIFT3D_TEST_CRASHES=here.random.choice(TARGETS))
 
 
@@ -143,7 +142,7 @@ def hang(here: Round) -> int:
 
 
 def full_disk(here: Round) -> None:
-    """A small file system that fills up, and is then made larger."""
+    """Fill a small file system, then enlarge it."""
     here.out.mkdir()
     size = f"size={here.random.randint(90, 400)}k"
     command = ["mount", "-t", "tmpfs", "-o", size, "tmpfs", str(here.out)]
@@ -161,8 +160,8 @@ def full_disk(here: Round) -> None:
 
 
 def two_drivers(here: Round) -> int:
-    """The second one stops the first."""
-    first = here.start(seconds=1.0)  # long enough to be still at it when the second one comes
+    """Start a second driver, which stops the first."""
+    first = here.start(seconds=1.0)  # long enough to be running when the second driver starts
     here.drivers.wait_for_commits("out", here.random.randint(1, 5))
     code = here.succeeds()
     _, errors = first.communicate(timeout=60)
@@ -171,13 +170,13 @@ def two_drivers(here: Round) -> int:
 
 
 def mlflow_down(here: Round) -> int:
-    """Nobody listens where MLflow should be: said, and no harm to the sweep."""
+    """Let nobody listen at MLflow's address: the driver reports it, and the sweep is unharmed."""
     code, errors = here.run("tracking=mlflow", "tracking.uri=http://127.0.0.1:9")
     assert code == 0 and "not in MLflow" in errors, errors
     return code
 
 
-# The first ones take seconds: a plain test run has one round of each of these.
+# The first faults take seconds: a plain test run has one round of each of them.
 FAULTS: tuple[tuple[Callable[[Round], int | None], str], ...] = (
     (torn_segment, "both"),
     (out_of_memory, "both"),

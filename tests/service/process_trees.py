@@ -1,4 +1,4 @@
-"""The processes below a process, by /proc."""
+"""Processes below a process, from /proc."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def descendants(pid: int, text: str, timeout_s: float = 30.0) -> list[int]:
-    """Processes below ``pid`` whose command line holds ``text``: at least one, waited for."""
+    """Wait for at least one process below ``pid`` whose command line contains ``text``. Returns their ids."""
     deadline = time.monotonic() + timeout_s
     while not (found := [child for child in _below(pid) if text in _command(child)]):
         assert time.monotonic() < deadline, f"no process {text!r} below {pid}"

@@ -1,4 +1,4 @@
-"""A Ray cluster of several machines that lose and gain one in the middle of a sweep: complete, and the same bytes."""
+"""A Ray cluster that loses and gains a machine in the middle of a sweep: complete, and the same bytes."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ MEGABYTES = 2**20
 
 @pytest.fixture(scope="module")
 def machines(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Their folder: a home, and the gate that tasks wait for."""
+    """Folder of the machines: a home, and the gate at which tasks wait."""
     return tmp_path_factory.mktemp("machines")
 
 
 @pytest.fixture(scope="module")
 def cluster(machines: Path) -> Iterator[Cluster]:
-    """Two nodes, each with room for one worker, in processes of their own on this machine."""
+    """Two nodes with room for one worker each, in processes of their own on this machine."""
     with pytest.MonkeyPatch.context() as environment:
-        # Workers have the environment of their node: the task by name, and what it waits for.
+        # Workers have the environment of their node: the task by name, and the gate.
         environment.setenv("PYTHONPATH", os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")]))
         environment.setenv("SHIFT3D_TEST_SECONDS", "0.02")
         environment.setenv("SHIFT3D_TEST_GATE", str(machines / "gate"))
         environment.setenv("HOME", str(machines / "home"))
         environment.setenv("RAY_USAGE_STATS_ENABLED", "0")
         environment.setenv("RAY_DISABLE_IMPORT_WARNING", "1")
-        environment.setenv("RAY_health_check_period_ms", "500")  # a node is lost after five: 15 s with Ray's own
+        environment.setenv("RAY_health_check_period_ms", "500")  # a node is lost after five; Ray's own: 15 s
         found = Cluster(initialize_head=True, head_node_args=node())
         try:
             found.add_node(**node())
@@ -50,7 +50,7 @@ def node() -> dict[str, object]:
 
 
 def workers_at_the_gate(folder: Path, workers: int) -> set[str]:
-    """The process ids of so many workers, once they have come to a task that waits."""
+    """Return the process ids of the workers once this many wait at the gate."""
     deadline = time.monotonic() + 90
     while len(found := {mark.suffix[1:] for mark in folder.glob("gate.*")}) < workers:
         assert time.monotonic() < deadline, f"fewer than {workers} workers have come to a task that waits"
@@ -64,7 +64,7 @@ def test_a_node_that_goes_and_one_that_comes_change_nothing(
     (machines / "gate").unlink(missing_ok=True)
     settings = ("runner.commit_seconds=0", "runner.batch_seconds=0.001", f"runner.address={cluster.address}")
     driver = drivers.start("out", *settings)
-    # Every fourth task waits there: in the hands of both, and then of the one that comes.
+    # Every fourth task waits at the gate: first those of both workers, then those of the new worker.
     before = workers_at_the_gate(machines, 2)
     (leaving,) = cluster.worker_nodes
     cluster.remove_node(leaving, allow_graceful=False)
@@ -86,7 +86,7 @@ def test_a_node_that_goes_and_one_that_comes_change_nothing(
 def test_files_that_only_the_driver_has_travel_and_a_node_that_cannot_load_is_left_out_and_named(
     cluster: Cluster, machines: Path, drivers: Drivers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The folder is named from where the driver stands; the workers stand elsewhere."""
+    """The folder's name is relative to the driver's working directory; the workers have another one."""
     for mark in machines.glob("gate*"):
         mark.unlink()
     mine = drivers.folder / "mine"

@@ -1,4 +1,4 @@
-"""The shipped PointPillars as an ONNX file: its scores, and a sweep on them alone."""
+"""The shipped PointPillars as an ONNX file: its scores, and a sweep that uses scores alone."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from shift3d.cli.main import main
 def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every evaluation of the file is a whole pass: one task, with as few of them as its search can have."""
+    """Every evaluation of the file is a full pass: the test runs one task with the fewest evaluations of its search."""
     monkeypatch.chdir(tmp_path)
     assert main(["compile", "detector=pointpillars", "to=pp.onnx"]) == 0
     within = re.search(r"pp\.onnx: .* scores within (\S+) of pointpillars's", capsys.readouterr().out)

@@ -18,7 +18,7 @@ DIES, DIES_ONCE, HANGS = "coupe/street_001/pose", "convertible/street_002/pose",
 
 @pytest.fixture(scope="module")
 def disturbed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drivers]:
-    """A finished sweep of two Ray workers: one task kills its worker, one does the first time only, one hangs."""
+    """A finished sweep of two Ray workers: one task kills its worker, one does so the first time only, one hangs."""
     drivers = Drivers(tmp_path_factory.mktemp("disturbed"))
     settings = ("runner.workers=2", "runner.task_timeout_s=1", "runner.batch_seconds=0.5", "runner.abort_share=null")
     tasks = {"SHIFT3D_TEST_CRASHES": DIES, "SHIFT3D_TEST_CRASHES_ONCE": DIES_ONCE, "SHIFT3D_TEST_HANGS": HANGS}
@@ -31,7 +31,7 @@ def disturbed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drivers]:
 
 @pytest.fixture
 def attempts(disturbed: Drivers) -> pd.DataFrame:
-    """With the task's name beside its id."""
+    """Attempts, with the task's name beside its id."""
     found = pd.read_parquet(disturbed.folder / "out" / "final" / "attempts.parquet")
     specs = [task.spec for task in read_plan(disturbed.folder / "out").tasks]
     names = {spec.task_id: f"{spec.vehicle}/{spec.scene}/{spec.mode}" for spec in specs}
@@ -50,13 +50,13 @@ def test_a_failing_task_is_quarantined_and_shown(drivers: Drivers) -> None:
     assert failed["quarantined"].tolist() == [False, True]
     assert "ArithmeticError" in failed["traceback"].iloc[1] and "cheap_task.py" in failed["traceback"].iloc[1]
     command = failed["traceback"].iloc[1].splitlines()[-1].removeprefix("reproduce: shift3d ")
-    # The command beside the traceback shows it again.
+    # The command beside the traceback shows the error again.
     with pytest.raises(ArithmeticError, match="no root for suv/street_002/pose"):
         drivers.run_here(shlex.split(command), SHIFT3D_TEST_FAILS="suv/street_002/pose")
     auc = pd.read_parquet(final / "auc.parquet")
     suv = auc[(auc["vehicle"] == "suv") & (auc["mode"] == "pose")]
     assert (suv["tasks_scored"] == 3).all() and (suv["tasks_planned"] == 4).all()
-    # The same command again: nothing is left to run, and the gap is still said.
+    # The same command again: nothing is left to run, and the gap is still reported.
     code, output, _ = drivers.run("out", "runner=local")
     assert code == 3 and "1 quarantined" in output
 

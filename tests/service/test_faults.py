@@ -1,7 +1,7 @@
-"""Whatever happens in the middle of a sweep: every task exactly once, and the bytes of the undisturbed run.
+"""Any fault in the middle of a sweep: every task exactly once, and the bytes of the undisturbed run.
 
-A round is a fault, its moment and its victim, all by the round's number. Four rounds by default, each another fault;
-SHIFT3D_FAULT_ROUNDS=50 runs as many, with and without Ray.
+A round is a fault, its moment and its victim, all selected by the round's number. The default is four rounds, each with
+another fault; SHIFT3D_FAULT_ROUNDS=50 runs as many, with and without Ray.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROUNDS = int(os.environ.get("SHIFT3D_FAULT_ROUNDS", "4"))
 def make_round(number: int, drivers: Drivers) -> Round:
     chance = random.Random(f"round {number}")
     _, where = FAULTS[number % len(FAULTS)]
-    # The first time that a fault comes up it is without Ray where that can be: seconds less.
+    # A fault's first round runs without Ray if possible, which saves seconds.
     ray = where == "ray" or (number >= len(FAULTS) and chance.random() < 0.5)
     return Round(drivers, chance, ray)
 
@@ -58,7 +58,7 @@ def _what_was_given_up_on_is_one_task_and_says_why(here: Round) -> None:
 
 
 def _no_orphan(here: Round) -> None:
-    """After gc, data/ holds what the log names and nothing else, and the sweep is as complete as before."""
+    """Check that after gc data/ holds only files that the log names, and that the sweep is as complete as before."""
     assert main(["gc", str(here.out)]) == 0
     assert {path.name for path in (here.out / "data").iterdir()} == here.drivers.segments("out")
     assert not list((here.out / "_log").glob(".tmp-*"))

@@ -1,4 +1,4 @@
-"""A fine-tuning that is killed goes on with the same command, and ends in the table of an undisturbed one."""
+"""A fine-tuning that is killed resumes with the same command, and ends in the table of an undisturbed one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WORDS = ("finetune", "scenes.count=1", "scenes.sensor=hdl64", "scenes.traffic=fa
 
 
 def killed_when(file: Path, out: Path) -> None:
-    """The command in a process of its own, killed as soon as a file is there."""
+    """Run the command in its own process, and kill it as soon as a file exists."""
     command = [sys.executable, "-m", "shift3d", *WORDS, f"out={out}"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
     end = time.monotonic() + 300

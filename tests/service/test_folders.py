@@ -66,7 +66,7 @@ def test_a_missing_log_entry_is_named(drivers: Drivers, finished: Path) -> None:
 
 
 def test_file_size_limit_stops_cleanly_and_resumes(drivers: Drivers, undisturbed: dict[str, bytes]) -> None:
-    """A limit between the plan's size and a segment's: the first segment cannot be written."""
+    """The limit is between the sizes of plan and segment: the first segment cannot be written."""
     limit = ("bash", "-c", 'ulimit -f 16; exec "$@"', "limited")
     code, _, errors = drivers.run("out", "runner=local", prefix=limit)
     assert code == 2, errors
@@ -78,7 +78,7 @@ def test_file_size_limit_stops_cleanly_and_resumes(drivers: Drivers, undisturbed
 
 @pytest.fixture
 def tiny_disk(tmp_path: Path) -> Iterator[Path]:
-    """A real file system of 120 kB; skipped where this process may not mount one."""
+    """A real file system of 120 kB; skips if this process may not mount one."""
     folder = tmp_path / "disk"
     folder.mkdir()
     mount = subprocess.run(

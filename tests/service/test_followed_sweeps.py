@@ -1,4 +1,4 @@
-"""Follow-ups of a sweep whose quarantined tasks were run again after them."""
+"""Follow-ups of a sweep whose quarantined tasks were run again later."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WORDS = ["sweep", "default", "vehicle=suv,coupe", "mode=pose", "scenes.count=2",
 
 
 def test_a_follow_up_of_fewer_solutions_is_to_be_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is said which folder, and what became of it; nothing of the sweep itself is to be removed."""
+    """The message names the folder and its state, and does not suggest to remove anything of the sweep itself."""
     monkeypatch.setenv("SHIFT3D_TEST_FAILS", "coupe/street_001")
     words = [*WORDS, "runner.abort_share=null", f"out={tmp_path / 'out'}"]
     assert sweep.run_with(parse(words), cheap_task.KIND) == 3
@@ -45,7 +45,7 @@ def test_a_follow_up_of_fewer_solutions_is_to_be_made_again(tmp_path: Path, monk
 def test_ctrl_c_while_quarantined_tasks_run_again_leaves_them_to_the_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No final tables are written that would say again that they failed."""
+    """No final tables are written, which would report the tasks as failed again."""
     monkeypatch.setenv("SHIFT3D_TEST_FAILS", "coupe")
     words = [*WORDS, "runner.abort_share=null", "runner.abort_after=null", f"out={tmp_path / 'out'}"]
     assert sweep.run_with(parse(words), cheap_task.KIND) == 3

@@ -1,4 +1,4 @@
-"""A driver that is killed loses nothing that it committed, and repeats nothing."""
+"""A driver that is killed loses no committed result, and repeats none."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_an_interrupted_second_try_says_how_it_goes_on(drivers: Drivers) -> None
 def test_a_signal_to_the_whole_job_lets_its_workers_finish_and_a_killed_driver_resumes_with_others(
     drivers: Drivers, undisturbed: dict[str, bytes], tmp_path: Path
 ) -> None:
-    """As ``timeout``, Slurm and systemd end a job: every process of it gets SIGTERM, those of Ray too."""
+    """``timeout``, Slurm and systemd end a job like this: every process gets SIGTERM, those of Ray too."""
     first, last = tmp_path / "first", tmp_path / "last"
     settings = ("runner.commit_seconds=0", "runner.batch_seconds=0.1")
     driver = drivers.start(
@@ -100,6 +100,6 @@ def test_second_interrupt_drops_what_is_in_flight(drivers: Drivers) -> None:
     time.sleep(0.5)
     for _ in range(2):
         os.kill(driver.pid, signal.SIGINT)
-        time.sleep(0.3)  # two signals at once are one
+        time.sleep(0.3)  # two signals at once count as one
     driver.communicate(timeout=10)
     assert driver.returncode == 130

@@ -1,4 +1,4 @@
-"""Sweeps whose output lies in a bucket: killed, resumed, and the same bytes as in a folder."""
+"""Sweeps with their output in a bucket: killed, resumed, and the same bytes as in a folder."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def final(out: Location) -> dict[str, bytes]:
 
 
 def start(drivers: Drivers, out: Location, *words: str, **environment: str) -> subprocess.Popen[str]:
-    """A driver; its environment is this process's, with the server's address in it."""
+    """Start a driver with this process's environment, in which the server's address is set."""
     return drivers._start([sys.executable, str(DRIVER), "sweep", "default", *QUICK, *words, f"out={out}"], environment)
 
 
 def run(drivers: Drivers, out: Location, *words: str, **environment: str) -> None:
-    """One that ends well, in this process."""
+    """Run a driver in this process, which must succeed."""
     code, _, errors = drivers.run_here(["sweep", "default", *QUICK, *words, f"out={out}"], **environment)
     assert code == 0, errors
 
@@ -77,7 +77,7 @@ def test_killed_drivers_resume_in_the_bucket(drivers: Drivers, undisturbed: dict
 def test_ray_workers_need_no_common_folder_and_a_task_that_does_not_come_back_counts_once(
     drivers: Drivers, undisturbed: dict[str, bytes], out: Location, tmp_path: Path
 ) -> None:
-    """The last task sleeps for an hour the first time that it is run. Nobody waits for that."""
+    """The last task sleeps for an hour in its first run. The driver must not wait for that."""
     slept = tmp_path / "slept"
     hangs = {"SHIFT3D_TEST_HANGS": "beach_wagon/street_003/pose", "SHIFT3D_TEST_HANG_ONCE": str(slept)}
     run(drivers, out, "runner.workers=2", "runner.batch_seconds=0.05", **hangs)

@@ -1,4 +1,4 @@
-"""Folders that older programs began are read, finished and compacted as if this program had begun them."""
+"""Folders begun by older programs are read, finished and compacted like folders of this program."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_sweep_that_an_older_program_began_is_finished(version: int, tmp_path:
 
 
 def older_file(path: Path, name: str, version: int, gone: list[str], row: dict[str, object]) -> None:
-    """A table with one row as a program of some version wrote it. row: also of columns that are gone today."""
+    """Write a table with one row as a program of some version did. row: also values of columns dropped since."""
     today: dict[str, object] = {field.name: None for field in SCHEMAS[name]}
     known = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.1}
     known |= {
@@ -86,7 +86,7 @@ LOOKED_AT += ["from_member_p95_cm", "out_of_range"]
 
 @pytest.mark.parametrize("version", [6, 7, 8])
 def test_shapes_that_another_rule_called_cars_are_of_unknown_naturalness(version: int, tmp_path: Path) -> None:
-    """Version 9 measures naturalness; an earlier program asked for sides, volume and symmetry, or sides alone."""
+    """Version 9 measures naturalness; earlier programs tested sides, volume and symmetry, or sides alone."""
     judged: dict[str, object] = {"still_a_car": True}
     if version >= 7:
         judged |= {"volume_share": 1.0, "mirrored": 0.99}

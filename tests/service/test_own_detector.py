@@ -17,11 +17,11 @@ from shift3d.cli.main import main
 REPOSITORY = Path(__file__).resolve().parents[2]
 GUIDE = (REPOSITORY / "docs" / "guides" / "detectors.md").read_text()
 FEW = ("vehicle=suv", "attack.steps=1", "attack.noise_replicates=0")
-"""What the command is cut by: its words come last."""
+"""Words that shorten the command: a command's last words override earlier ones."""
 
 
 def words_of(command: str) -> list[str]:
-    """Of one of the guide's commands."""
+    """Return the words of one of the guide's commands."""
     program, *words = shlex.split(command)
     assert program == "shift3d"
     return [*words, *FEW]

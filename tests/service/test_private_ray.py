@@ -1,4 +1,4 @@
-"""A Ray that a sweep starts: on loopback alone, without idle helpers, and nobody without the token gets in."""
+"""A Ray that a sweep starts: on loopback alone, without idle helpers, and closed to anyone without the token."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ UNUSED = ("dashboard/dashboard.py", "log_monitor.py", "monitor.py")
 
 def without_a_token(home: Path, **more: str) -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_AUTH_")}
-    # Without the last one, Ray would look for 127.0.0.1 under the address by which other machines know this one.
+    # Without the last variable, Ray would replace 127.0.0.1 by the address by which other machines know this one.
     return {**kept, "HOME": str(home), **more, "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
 
@@ -79,7 +79,7 @@ def answers(port: int) -> bool:
 
 
 def listening(process: int) -> set[tuple[str, int]]:
-    """Addresses (hex, as in /proc/net) and ports that a process listens on."""
+    """Return addresses (hex, as in /proc/net) and ports on which a process listens."""
     inodes = {str(link.readlink()) for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()}
     rows = [row.split() for kind in ("tcp", "tcp6") for row in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]]
     local = [row[1].split(":") for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in inodes]

@@ -1,4 +1,4 @@
-"""Retrieval and patterns are sweeps: exactly once, resumable, to the same bytes, and a sweep run again keeps them."""
+"""Retrieval and patterns are sweeps: exactly once, resumable, to the same bytes; rerunning a sweep keeps them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A sweep whose kin nobody has looked for."""
+    """A sweep without retrieved kin."""
     folder = tmp_path_factory.mktemp("sweep") / "plain"
     assert main([*SWEEP, *SETTINGS, *QUIET, f"out={folder}"]) == 0
     return folder
@@ -67,7 +67,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def out(plain: Path, root: Path) -> Path:
-    """It, with its kin retrieved from the frames and its meshes measured."""
+    """The sweep with kin retrieved from the frames and with measured meshes."""
     folder = Path(shutil.copytree(plain, plain.with_name("out")))
     assert main(retrieval(folder, root, plain.with_name("pool"))) == 0
     assert main(["patterns", str(folder), "runner=local"]) == 0
@@ -102,7 +102,7 @@ def test_what_is_retrieved_is_the_vehicle_that_the_shape_was_made_from(out: Path
     assert (kin["pool_scene"].item(), kin["pool_label"].item(), kin["excluded"].item()) == ("000000", 0, False)
     scores = read_table(out / "final" / "scores.parquet", "scores").to_pandas().set_index("method")["score"]
     assert kin["score_baseline"].item() == scores["baseline"] and kin["score_solution"].item() == scores["adversarial"]
-    # One step has hardly moved the shape: its kin is the baseline, and scores like it in the same place.
+    # One step hardly moves the shape: its kin is the baseline, and scores like it in the same place.
     assert kin["score"].item() == pytest.approx(scores["baseline"], abs=0.1)
     assert kin["object_points"].item() > 200
 
@@ -128,7 +128,7 @@ def test_again_runs_nothing_and_leaves_the_same_bytes(out: Path, root: Path) -> 
 def test_what_was_lost_in_part_resumes_and_two_workers_come_to_the_same_bytes(
     out: Path, plain: Path, root: Path, tmp_path: Path
 ) -> None:
-    """A frame each; that workers read a sweep's solutions is held by test_verification."""
+    """Each worker takes one frame. test_verification checks that workers read a sweep's solutions."""
     copy, pool = tmp_path / "copy", tmp_path / "pool"
     shutil.copytree(plain, copy)
     made, config = make_plan(compose_sweep("retrieval", [*pool_of(root), "runner.workers=2"]), read_catalogue)

@@ -1,4 +1,4 @@
-"""A grown grid takes over what another sweep has finished, runs the rest, and ends with a fresh run's bytes."""
+"""A grown grid takes over the results of another sweep, runs the rest, and ends with a fresh run's bytes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROW = ("runner=local", "scenes.count=6")
 
 @pytest.fixture(scope="module")
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """final/ of the grown grid, run without anything to take over."""
+    """Files of final/ of the grown grid, run without results to take over."""
     drivers = Drivers(tmp_path_factory.mktemp("fresh"))
     code, _, errors = drivers.run("out", *GROW)
     assert code == 0, errors
@@ -50,7 +50,7 @@ def test_only_new_tasks_run(drivers: Drivers, undisturbed_folder: Path, fresh: d
     assert len(ran(journal)) == GROWN - SMALL and not set(ran(journal)) & set(drivers.committed("small"))
     assert before == {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}, "it was only read"
     assert len(drivers.committed("out")) == GROWN and once(drivers.committed("out"))
-    # The folder is whole without the other: run again, it makes the same tables from what it holds itself.
+    # The folder does not need the other one: a second run makes the same tables from its own data.
     shutil.rmtree(source)
     shutil.rmtree(drivers.folder / "out" / "final")
     assert drivers.run("out", *GROW)[0] == 0
@@ -61,7 +61,7 @@ def test_only_new_tasks_run(drivers: Drivers, undisturbed_folder: Path, fresh: d
 def test_of_an_unfinished_sweep_what_it_committed_and_nothing_that_failed(
     drivers: Drivers, fresh: dict[str, bytes]
 ) -> None:
-    """The source gave one task up and lost its last commits."""
+    """The source quarantined one task and lost its last commits."""
     journal = drivers.folder / "journal"
     small = ("runner=local", "runner.commit_seconds=0")
     assert drivers.run("small", *small, SHIFT3D_TEST_FAILS="coupe/street_001/pose")[0] == 3

@@ -1,4 +1,4 @@
-"""A verification is a sweep: it resumes, repeats nothing, and a sweep that is run again keeps it."""
+"""A verification is a sweep: it resumes, repeats nothing, and survives another run of the verified sweep."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def unverified(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A sweep that nobody has verified."""
+    """A sweep without a verification."""
     folder = tmp_path_factory.mktemp("sweep") / "finished"
     assert main([*SWEEP, *SETTINGS, f"out={folder}"]) == 0
     assert read_table(folder / "final" / "scores.parquet", "scores")["stable"].to_pylist() == [None, None]
@@ -35,7 +35,7 @@ def unverified(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def out(unverified: Path) -> Path:
-    """It, verified."""
+    """The sweep, verified."""
     folder = Path(shutil.copytree(unverified, unverified.with_name("out")))
     assert main(["verify", str(folder), "runner=local"]) == 0
     return folder
@@ -68,7 +68,7 @@ def test_a_verification_that_was_lost_in_part_resumes(out: Path, tmp_path: Path)
 
 
 def test_in_a_bucket_it_comes_to_the_same_bytes(unverified: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The sweep's log and tables are in the bucket, whence a Ray worker reads the solutions."""
+    """The sweep's log and tables are in the bucket, from which a Ray worker reads the solutions."""
     with bucket_server() as endpoint:
         for name, value in {**ENVIRONMENT, "AWS_ENDPOINT_URL": endpoint}.items():
             monkeypatch.setenv(name, value)

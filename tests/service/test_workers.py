@@ -1,4 +1,4 @@
-"""The same bytes whatever runs the tasks."""
+"""The same bytes from every runner."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ SETTINGS: dict[str, RenderSettings] = {
     "standard": preset("standard"),
     "draft": preset("draft"),
     "plain": preset("standard").with_(solver="plain_sphere_tracing"),
-    # Units that a survey missed move a root by up to 0.1 mm: to 1e-9 m only the whole decoder is good.
+    # Units that a survey missed move a root by up to 0.1 mm: only the whole decoder is accurate to 1e-9 m.
     "float64": preset("standard").with_(dtype=torch.float64, tolerance_m=1e-9, final_newton_m=0.0, live_units=False),
 }
 _OFTEN = ("standard", "standard", "standard", "standard", "draft", "plain", "float64")
@@ -32,7 +32,7 @@ _PLACES = {"anywhere": 0.3, "near": 0.3, "about the sensor": 0.2, "at the sensor
 
 @dataclass(frozen=True)
 class Case:
-    """What is rendered. theta: (6,). code: (256,) float32. points: (N, 3) float64 returns of a sensor at the origin."""
+    """Scene to render. theta: (6,). code: (256,) float32. points: (N, 3) float64 returns of a sensor at the origin."""
 
     number: int
     settings: str
@@ -49,18 +49,18 @@ class Case:
 
 @functools.cache
 def decoders() -> tuple[Decoder, Decoder]:
-    """The shipped decoder in float32 and in float64."""
+    """Return the shipped decoder in float32 and in float64."""
     return load_decoder(), load_decoder().double()
 
 
 @functools.cache
 def vehicles() -> dict[str, Vehicle]:
-    """The baseline vehicles."""
+    """Return the baseline vehicles."""
     return baseline_vehicles()
 
 
 def make_case(number: int) -> Case:
-    """A pose, a code and a scan; the same for the same number."""
+    """Return a pose, a code and a scan; the same for the same number."""
     rng = np.random.default_rng((20, number))
     vehicle = BASELINES[number % len(BASELINES)]
     theta = np.concatenate((_place(rng), _angles(rng)))
@@ -74,7 +74,7 @@ def make_case(number: int) -> Case:
 
 
 def _place(rng: np.random.Generator) -> np.ndarray:
-    """Anywhere within 100 m, on an axis, about the sensor, or exactly at it."""
+    """Draw a place anywhere within 100 m, on an axis, about the sensor, or exactly at it."""
     kind = str(rng.choice(list(_PLACES), p=list(_PLACES.values())))
     if kind == "at the sensor":
         return np.zeros(3)
@@ -86,13 +86,13 @@ def _place(rng: np.random.Generator) -> np.ndarray:
 
 
 def _angles(rng: np.random.Generator) -> np.ndarray:
-    """Each of yaw, pitch, roll at a wrap or a right angle, or anywhere within five turns."""
+    """Draw each of yaw, pitch, roll at a wrap or a right angle, or anywhere within five turns."""
     anywhere = rng.uniform(-10 * math.pi, 10 * math.pi, 3)
     return np.where(rng.random(3) < 0.5, rng.choice(_ANGLES, 3), anywhere)
 
 
 def _scan(rng: np.random.Generator, theta: np.ndarray) -> np.ndarray:
-    """(N, 3) returns: half about the object, as seen from the sensor, half anywhere; three rows carry no beam."""
+    """Return (N, 3) returns: half about the object, as seen from the sensor, half anywhere; three rows have no beam."""
     about = theta[:3] + rng.uniform(-1.0, 1.0, (BEAMS // 2, 3)) * [2.6, 1.6, 1.2]
     length = np.linalg.norm(about, axis=1, keepdims=True)
     about *= rng.choice([1.0, (length.mean() + 8.0) / length.mean(), 2.0])
@@ -103,7 +103,7 @@ def _scan(rng: np.random.Generator, theta: np.ndarray) -> np.ndarray:
 
 
 def distance_m(case: Case, points: np.ndarray) -> np.ndarray:
-    """(N,) metric distance at scene points (N, 3): the decoder as published, in float64, and frames made here."""
+    """Compute metric distance (N,) at scene points (N, 3): the decoder as published, float64, frames made here."""
     yaw, pitch, roll = case.theta[3:]
     about_z = np.array([[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]])
     about_y = np.array([[math.cos(pitch), 0, math.sin(pitch)], [0, 1, 0], [-math.sin(pitch), 0, math.cos(pitch)]])
@@ -117,7 +117,7 @@ def distance_m(case: Case, points: np.ndarray) -> np.ndarray:
 
 
 def along_beam(case: Case, row: int, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Ranges (K,) every spacing_m of the beam of a return, within 4.5 m of the object, and the distances there."""
+    """Return ranges (K,) every spacing_m on a return's beam, within 4.5 m of the object, and the distances there."""
     end = case.points[row]
     length = float(np.linalg.norm(end))
     middle = float(case.theta[:3] @ end) / length

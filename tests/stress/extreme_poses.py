@@ -1,10 +1,10 @@
-"""Random extreme poses and codes through the real decoder: what is not finite, what hangs, what is unresolved and why.
+"""Random extreme poses and codes through the real decoder: NaN, hangs, and unresolved beams with their reason.
 
     python tests/stress/extreme_poses.py --count 10000 --workers 2 --out extreme_poses.json
 
 A case follows from its number alone (`extreme_cases`). Each renders some 160 beams with the gradient of pose and code,
-every third one once more from there (warm). The answer is then held against evaluations of its own: the decoder as
-published, in float64, at places made without the renderer's code. Nothing of the renderer judges itself.
+every third case once more from the result (warm). The rendering is then checked against independent evaluations: the
+decoder as published, in float64, at places computed without the renderer's code.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from shift3d.render.solvers import search, sphere_tracing
 
 PATIENCE_S = 20.0
 _STEP = np.array([0.01, 0.0, 0.005, 0.001, 0.0, -0.001])
-"""What an attack may change of a pose in one step: x, y, z in metres, yaw, pitch, roll in radians."""
+"""Change of a pose that an attack may make in one step: x, y, z in metres, yaw, pitch, roll in radians."""
 _SPACING_M = 0.02
 _DEEP_M = 0.01
-"""A beam that is deeper than this in the object at a sample is no grazing one."""
+"""A beam that is deeper than this inside the object at a sample does not graze it."""
 
 
 class HungError(Exception):
@@ -47,12 +47,12 @@ class HungError(Exception):
 
 @dataclass
 class Outcome:
-    """What came of a case, in counts.
+    """Counts of one case.
 
-    not_finite: NaN and infinities by where. unresolved: beams by reason. from_inside: hits of a sensor that is inside
-    the object. off_surface: hits that are not on the surface. untold: hits on it that are farther from it than the
-    tolerance, by a last step that was not evaluated. worst_residual_m: of all hits. looked_along: beams whose first
-    crossing was looked for with samples; passed: of these, whose range lies behind a sample that is deep inside.
+    not_finite: NaN and infinities by place. unresolved: beams by reason. from_inside: hits of a sensor inside the
+    object. off_surface: hits that are not on the surface. untold: hits on the surface, but farther from it than the
+    tolerance, after a last step that was not evaluated. worst_residual_m: of all hits. looked_along: beams whose first
+    crossing was searched with samples; passed: those of them whose range is behind a sample deep inside.
     """
 
     number: int
@@ -72,13 +72,13 @@ class Outcome:
 
     @property
     def sound(self) -> bool:
-        """Nothing is wrong with it. A surface that was passed is an accuracy, counted apart."""
+        """True if the case has no error. A passed surface is an inaccuracy, which is counted separately."""
         wrong = self.not_finite.total() or self.from_inside or self.off_surface
         return not (wrong or self.hung or self.error or self.unresolved["unexplained"])
 
 
 def run_case(number: int) -> Outcome:
-    """Render one case and judge it; ends within PATIENCE_S."""
+    """Render one case and check it; ends within PATIENCE_S."""
 
     def ring(signum: int, frame: FrameType | None) -> None:
         raise HungError
@@ -110,7 +110,7 @@ def _judge(case: Case, outcome: Outcome) -> None:
 
 
 def _draw(case: Case, beams: Beams, earlier: Rendering | None, outcome: Outcome) -> Rendering:
-    """One rendering with its gradient, judged."""
+    """Render once with the gradient and check the result."""
     settings = SETTINGS[case.settings]
     code = torch.from_numpy(case.code).to(settings.dtype).requires_grad_()
     theta = torch.from_numpy(case.theta).requires_grad_()
@@ -125,8 +125,8 @@ def _draw(case: Case, beams: Beams, earlier: Rendering | None, outcome: Outcome)
 
 
 def _count_not_finite(drawn: Rendering, code: Tensor, theta: Tensor, outcome: Outcome) -> None:
-    """NaN and infinities in what was handed in as finite, in the ranges and in both gradients."""
-    points = drawn.points[:-2]  # the last two came in as NaN and infinity and are no part of any loss
+    """Count NaN and infinities at rows with finite input, in the ranges, and in both gradients."""
+    points = drawn.points[:-2]  # the last two rows are NaN and infinity in the input, and are in no loss
     parts = {"points": points, "ranges": drawn.range_m, "residual": torch.tensor(drawn.max_residual_m)}
     if points.requires_grad:
         points.sin().sum().backward()
@@ -139,7 +139,7 @@ def _count_not_finite(drawn: Rendering, code: Tensor, theta: Tensor, outcome: Ou
 
 
 def _judge_hits(case: Case, drawn: Rendering, outcome: Outcome) -> None:
-    """Hits are on the surface, and none is seen from inside the object."""
+    """Check that hits are on the surface, and that none is seen from inside the object."""
     hit = drawn.hit_mask.numpy()
     outcome.hits += int(hit.sum())
     if not hit.any():
@@ -147,8 +147,8 @@ def _judge_hits(case: Case, drawn: Rendering, outcome: Outcome) -> None:
     g = np.abs(distance_m(case, drawn.points.detach().numpy()[hit]))
     settings = SETTINGS[case.settings]
     reachable_m = settings.reachable_residual_m(case.frame.scale_m)
-    # What a root was asked for, and what its dtype adds. A last secant step is not evaluated again: from up to
-    # final_newton_m away it may end where another linear piece has begun, off by that length times the change of slope.
+    # The root's tolerance, and the error of its dtype. The last secant step is not evaluated again: from up to
+    # final_newton_m away it may end on another linear piece, off by that length times the change of slope.
     bound_m = settings.tolerance_m + reachable_m
     outcome.worst_residual_m = max(outcome.worst_residual_m, float(g.max()))
     outcome.untold += int(((g > bound_m) & (g <= bound_m + settings.final_newton_m)).sum())
@@ -158,8 +158,8 @@ def _judge_hits(case: Case, drawn: Rendering, outcome: Outcome) -> None:
 
 
 def _look_along(case: Case, drawn: Rendering, outcome: Outcome) -> None:
-    """Whether one beam's range lies behind a place that is plainly inside the object."""
-    row = case.number % 80  # of those about the object
+    """Check if one beam's range is behind a place that is clearly inside the object."""
+    row = case.number % 80  # of the rows about the object
     k, g = along_beam(case, row, _SPACING_M)
     if len(k) == 0 or g[0] < 0:
         return
@@ -169,7 +169,7 @@ def _look_along(case: Case, drawn: Rendering, outcome: Outcome) -> None:
 
 
 def _explain(case: Case, beams: Beams, earlier: Rendering | None, count: int, outcome: Outcome) -> None:
-    """Why beams are unresolved, each told from the field along it."""
+    """Count the reasons why beams are unresolved, each derived from the field along the beam."""
     hits = _hits_again(case, beams, earlier)
     rows = hits.unresolved.tolist()
     outcome.unresolved["unexplained"] += abs(count - len(rows))
@@ -181,7 +181,7 @@ def _explain(case: Case, beams: Beams, earlier: Rendering | None, count: int, ou
 
 
 def _hits_again(case: Case, beams: Beams, earlier: Rendering | None) -> FirstHits:
-    """The rendering's own first hits once more: a rendering counts its unresolved beams and does not name them."""
+    """Compute the rendering's first hits again: a rendering counts its unresolved beams and does not name them."""
     settings = SETTINGS[case.settings]
     sdf = decoders()[settings.dtype == torch.float64].field(torch.from_numpy(case.code).to(settings.dtype))
     metric = ObjectField.of(sdf, case.frame, settings.dtype, settings.batch)
@@ -204,7 +204,7 @@ def _reason(case: Case, row: int) -> str:
 
 
 def summary(outcomes: list[Outcome]) -> dict[str, Any]:
-    """Totals over cases, and everything of those that are not sound."""
+    """Return totals over cases, and all data of cases that are not sound."""
     ordered = sorted(outcomes, key=lambda outcome: outcome.number)
     seconds = np.array([outcome.seconds for outcome in ordered])
 
@@ -238,7 +238,7 @@ def _one_thread() -> None:
 
 
 def run(numbers: range, workers: int) -> list[Outcome]:
-    """All cases, in any order, with what is left of the time on stderr."""
+    """Run all cases in any order, with the remaining time on stderr."""
     outcomes: list[Outcome] = []
     start = time.monotonic()
     with multiprocessing.get_context("spawn").Pool(workers, _one_thread) as pool:
@@ -254,7 +254,7 @@ def run(numbers: range, workers: int) -> list[Outcome]:
 
 
 def main() -> int:
-    """Run the cases and write the totals; 1 where any is not sound."""
+    """Run the cases and write the totals. Returns 1 if any case is not sound."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--first", type=int, default=0, help="number of the first case")

@@ -1,4 +1,4 @@
-"""A few of the extreme poses, whatever else is tested; `extreme_poses.py` runs thousands."""
+"""A few of the extreme poses in every test run; `extreme_poses.py` runs thousands."""
 
 import pytest
 import torch
@@ -21,7 +21,7 @@ def outcomes() -> list[Outcome]:
 def test_forty_extreme_poses_and_codes_are_sound(outcomes: list[Outcome]) -> None:
     assert [outcome for outcome in outcomes if not outcome.sound] == []
     totals = summary(outcomes)
-    # They are what they claim to be: some meet the object, some start inside it.
+    # The cases are as intended: some beams meet the object, some start inside it.
     assert totals["hits"] > 300 and totals["unresolved"]["sensor inside the object"] > 60
     assert totals["beams_that_passed_a_surface"] == 0 < totals["beams_looked_along"]
 
@@ -33,7 +33,7 @@ def test_a_case_follows_from_its_number() -> None:
 
 
 def _taken_for_outside(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beams of a sensor inside the object count as if they began outside."""
+    """Count beams of a sensor inside the object as if they began outside."""
     outside = sphere_tracing.outside
 
     def anywhere(rays: Rays, field: ObjectField) -> tuple[Rays, Tensor, Tensor]:
@@ -49,7 +49,7 @@ def _no_root_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _divided_by_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Gradients by pose and code are divided by 0."""
+    """Divide gradients by pose and code by 0."""
     change = Linearization.change
 
     def broken(linearization: Linearization, field: ObjectField, x_object: Tensor) -> Tensor:

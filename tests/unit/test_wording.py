@@ -35,14 +35,14 @@ def test_a_sentence_has_one_end() -> None:
 
 
 def test_a_remedy_says_what_to_do() -> None:
-    """As a sentence of its own, beginning with a verb: it stands behind the full stop of what is wrong."""
+    """A remedy is a sentence of its own, beginning with a verb, after the full stop of the error."""
     no_verb = r"[^A-Z]|(Known|Every|Its?|Only|The|There|This|Workers)\b"
     wrong = [f"{file}: {text}" for file in PACKAGE.rglob("*.py") for text in remedies(file) if re.match(no_verb, text)]
     assert not wrong, wrong
 
 
 def remedies(file: Path) -> Iterator[str]:
-    """How remedies begin that are written out where an InputError is made."""
+    """Yield the beginnings of remedies that are written out in InputError calls."""
     for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "InputError":
             for remedy in [*call.args[2:], *(word.value for word in call.keywords if word.arg == "remedy")]:

@@ -1,13 +1,13 @@
-"""Measures what README and docs quote, and draws their tables from it.
+"""Measures the figures that README and docs quote, and draws their tables.
 
 ``python docs/scripts/evidence [--plan | --draw] [--again] [ONLY=NAME,NAME] [kitti=PATH] [real=PATH]``
 ``python docs/scripts/evidence ONLY=NAME folder=PATH commit=HASH``
 
 Each measurement of plan.yaml that is not current runs in outputs/evidence/NAME-DIGEST, writes docs/measured/NAME.json
-and is skipped from then on, until a file that it depends on changes. The same command resumes. --plan says what would
-run; --draw only draws the tables; --again measures afresh. kitti: a folder that holds training/; real: a folder that
-holds vehicles/ and more_vehicles/ (meshes). What lacks its words is left out and named. folder: what the commands of
-one measurement left, run by hand on this machine at a commit; it is read and not measured.
+and is skipped until a file that it depends on changes. The same command resumes. --plan lists the measurements that
+would run; --draw only draws the tables; --again repeats current measurements. kitti: a folder that holds training/;
+real: a folder that holds vehicles/ and more_vehicles/ (meshes). A measurement that lacks its words is left out and
+named. folder: results of one measurement, run by hand on this machine at a commit; the script only reads them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from scripts.evidence.readers import read_figures
 
 
 def main(arguments: list[str]) -> int:
-    """0: all that was asked for is measured; 1: something failed; 2: wrong words."""
+    """Return 0 if everything requested is measured, 1 if a measurement failed, 2 for wrong words."""
     given = dict(word.split("=", 1) for word in arguments if "=" in word)
     flags, only = {word for word in arguments if "=" not in word}, given.pop("ONLY", None)
     every = read_plan()
@@ -51,7 +51,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _one(entry: Entry, given: Mapping[str, str], again: bool) -> str | None:
-    """Do what an entry needs, and say it. What went wrong, or None."""
+    """Measure an entry if necessary and print its state. Returns an error text, or None."""
     if "folder" in given:
         problem = read_by_hand(entry, Path(given["folder"]), given["commit"])
     elif not again and entry.state() == "current":
@@ -68,7 +68,7 @@ def _one(entry: Entry, given: Mapping[str, str], again: bool) -> str | None:
 
 
 def measure(entry: Entry, given: Mapping[str, str], again: bool = False) -> str | None:
-    """Run an entry and write its file. What went wrong, or None."""
+    """Run an entry and write its file. Returns an error text, or None."""
     if dirty := record.uncommitted(entry.depends):
         return f"commit first what it depends on: {', '.join(dirty[:5])}"
     commit, digest = record.git("rev-parse", "HEAD").strip(), record.digest(entry.depends)
@@ -81,7 +81,7 @@ def measure(entry: Entry, given: Mapping[str, str], again: bool = False) -> str 
 
 
 def read_by_hand(entry: Entry, folder: Path, commit: str) -> str | None:
-    """Read what an entry's commands left in a folder at a commit: only its scripts that read results are run."""
+    """Read results of an entry's commands from a folder at a commit; run only the entry's scripts that read results."""
     reading = [line for line in entry.run if line.startswith("python docs/scripts/sweep_figures.py ")]
     return _run_and_write(entry, reading, {}, folder.resolve(), record.git("rev-parse", commit).strip())
 
@@ -112,7 +112,7 @@ def _run_and_write(entry: Entry, lines: Sequence[str], given: Mapping[str, str],
 
 
 def _run(words: list[str], env: Mapping[str, str], out: Path) -> tuple[int, str]:
-    """Exit code and output of a command, which is shown as it comes. Its seconds are added to the folder's."""
+    """Run a command, show its output and add its seconds to the folder's. Returns exit code and output."""
     print(f"$ {shlex.join(words)}", flush=True)
     own = {"python": [sys.executable], "shift3d": [sys.executable, "-m", "shift3d.cli.main"]}
     words[:1] = own.get(words[0], words[:1])

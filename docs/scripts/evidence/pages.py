@@ -1,8 +1,8 @@
 """Tables of README and docs, drawn from docs/measured.
 
-A page marks a block: ``<!-- measured: TEMPLATE.MACRO WORD ... -->``, what was drawn, ``<!-- end -->``. The macro stands
-in tables/TEMPLATE.md.j2 and takes the words. Within it, ``figures(NAME)`` are those of docs/measured/NAME.json,
-``at(NAME)`` is the sentence that says at which commit, where and how they were measured.
+A page marks a block: ``<!-- measured: TEMPLATE.MACRO WORD ... -->``, the drawn text, ``<!-- end -->``.
+tables/TEMPLATE.md.j2 defines the macro, which takes the words as arguments. In a macro, ``figures(NAME)`` returns the
+figures of docs/measured/NAME.json, ``at(NAME)`` the sentence that states commit, place and method of their measurement.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PAGES = sorted(
 TABLES = Path(__file__).parent / "tables"
 _BLOCK = re.compile(r"(<!-- ?measured: ?([^>]*?) ?-->\n)(.*?)\n?(<!-- ?end ?-->)", re.DOTALL)
 _TABLE = re.compile(r"^\|.*(?:\n\|.*)+$", re.MULTILINE)
-# A number that was measured has a fraction, a unit of time, size or length, or is one of many.
+# A measured number has a fraction, a thousands separator, a per cent sign or a unit, or has the form "3 of 40".
 _NUMBER = re.compile(
     r"(?<![\w.])\d[\d,]*\.\d|(?<!\w)\d{1,3},\d{3}\b|\d ?%|\d of \d"
     r"|(?<![\w.])\d+ (?:[mµ]?s|min|minutes|hours?|[MkG]B|[cm]m)\b"
@@ -31,12 +31,12 @@ _NUMBER = re.compile(
 
 
 def drawn(text: str) -> str:
-    """A page with every marked block as its figures have it."""
+    """Return the page with every marked block drawn from its figures."""
     return _BLOCK.sub(lambda match: f"{match[1]}{_draw(match[2])}\n{match[4]}", text)
 
 
 def draw() -> list[Path]:
-    """Draw every page; those that changed."""
+    """Draw every page. Returns the pages that changed."""
     from shift3d.store.atomic import write_atomic
 
     changed = []
@@ -49,7 +49,7 @@ def draw() -> list[Path]:
 
 
 def unmarked_tables(text: str) -> Iterator[str]:
-    """First lines of tables that hold a measured number and stand in no marked block. Code holds none."""
+    """Yield the first lines of tables that hold a measured number outside marked blocks. Code blocks do not count."""
     rest = re.sub(r"```.*?```", "", _BLOCK.sub("", text), flags=re.DOTALL)
     for table in _TABLE.findall(rest):
         head, _, *rows = table.splitlines()
@@ -90,7 +90,7 @@ def _number(one: Mapping[str, Any], digits: int = 0, times: float = 1.0) -> str:
 
 
 def _between(one: Mapping[str, Any], digits: int = 3, times: float = 1.0) -> str:
-    """The interval in brackets; nothing where it is not known."""
+    """Return the interval in brackets, or an empty text if it is unknown."""
     return "[{}]".format(", ".join(f"{end * times:.{digits}f}" for end in one["interval"])) if "interval" in one else ""
 
 
@@ -112,7 +112,7 @@ def _sentence(measured: Mapping[str, Any]) -> str:
 
 
 def _paper(mode: str, detector: str, scored_by: str) -> Mapping[str, Any]:
-    """The paper's AUCs by method and vehicle, with mean and share of the baseline's; nothing without a table."""
+    """Return the paper's AUCs by method and vehicle, with mean and share of the baseline; empty without a table."""
     from shift3d.analysis.tables.paper import paper_table
 
     table = paper_table(mode, detector, scored_by)
@@ -127,10 +127,10 @@ def _paper(mode: str, detector: str, scored_by: str) -> Mapping[str, Any]:
 
 
 def _elsewhere(name: str) -> dict[str, Any]:
-    """What shapes of a sweep do in scenes that they were not searched in, by "SEARCH DETECTOR", as "descent sst": what
-    `transfer_table` counts, "lower in" in per cent.
+    """Return results of a sweep's shapes in scenes other than that of their search, by "SEARCH DETECTOR".
 
-    universal.json, written down by hand, has one search and its own names, and a share.
+    The columns are the counts of `transfer_table`, "lower in" in per cent. universal.json was written by hand: it has
+    one search, its own names, and a share.
     """
     figures = _figures(name)
     found = {_LABEL.sub(r"\1 \2", label): one for label, one in _groups(figures).get("elsewhere", {}).items()}
@@ -145,14 +145,14 @@ _LABEL = re.compile(r"(?:shape, )?([a-z]+)[_,].* (\w+)")
 
 
 def _sides() -> Mapping[str, Any]:
-    """Body types and attributes of the wide family, "seen" by trainings and "held_out"."""
+    """Return body types and attributes of the wide family: "seen" by trainings and "held_out"."""
     from shift3d.vehicles.family.split import SPLIT
 
     return SPLIT.to_dict()
 
 
 def _groups(found: Mapping[str, Any], levels: int = 3) -> dict[str, Any]:
-    """Figures named TITLE/ROW/COLUMN (or ROW/COLUMN) as nested mappings, in their order."""
+    """Group figures named TITLE/ROW/COLUMN (or ROW/COLUMN) into nested mappings, in their order."""
     nested: dict[str, Any] = {}
     for name, one in found.items():
         *outer, last = name.split("/")

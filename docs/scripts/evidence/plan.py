@@ -1,4 +1,4 @@
-"""The plan of measurements, plan.yaml, and how each stands against docs/measured."""
+"""Plan of measurements (plan.yaml), and the state of each measurement in docs/measured."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ PLAN = Path(__file__).with_name("plan.yaml")
 
 @dataclass(frozen=True)
 class Entry:
-    """A measurement. run: commands, with {out} for its folder and other words in braces for what the caller gives.
+    """Measurement. run: commands, with {out} for its folder and other words in braces for values of the caller.
 
-    depends: globs of files. minutes: expected on two cores. read: see readers. env: variables of the commands.
+    depends: file globs. minutes: expected on two cores. read: see readers. env: environment variables of the commands.
     """
 
     name: str
@@ -30,17 +30,17 @@ class Entry:
 
     @property
     def needs(self) -> list[str]:
-        """Words that the caller gives."""
+        """Words that the caller must give."""
         return sorted({word for line in self.run for word in re.findall(r"{(\w+)}", line)} - {"out"})
 
     @property
     def command(self) -> str:
-        """As it is written down: without a path of this machine."""
+        """The commands as recorded: without a path of this machine."""
         lines = [re.sub(r"{(\w+)}", lambda match: match[1].upper(), line) for line in self.run]
         return " ".join([*(f"{key}={value}" for key, value in self.env.items()), "; ".join(lines)])
 
     def state(self) -> str:
-        """missing, current, or what makes its figures stale."""
+        """Return the state of the figures: missing, current, or the reason why they are stale."""
         if not (record.MEASURED / f"{self.name}.json").exists():
             return "missing"
         measured = record.read(self.name)["measured"]
@@ -56,7 +56,7 @@ class Entry:
 
 
 def read_plan() -> list[Entry]:
-    """In the order in which they run."""
+    """Read all entries, in the order in which they run."""
     found = yaml.safe_load(PLAN.read_text(encoding="utf-8"))
     return [_entry(name, words, found["rooms"]) for name, words in found["entries"].items()]
 
@@ -81,7 +81,7 @@ def _globs(names: Sequence[str], rooms: Mapping[str, Sequence[str]]) -> Iterator
 
 
 def table(entries: Sequence[Entry]) -> str:
-    """What there is to measure, how long it takes, and how it stands."""
+    """Format all measurements with their duration and state."""
     rows = [(e.name, f"{e.minutes:g}", ", ".join(f"{word}=" for word in e.needs), e.state()) for e in entries]
     lines = [f"{'measurement':24s} {'minutes':>7s}  {'needs':14s} state"]
     lines += [f"{name:24s} {minutes:>7s}  {needs:14s} {state}" for name, minutes, needs, state in rows]

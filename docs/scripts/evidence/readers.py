@@ -1,11 +1,11 @@
-"""How figures are read from what a measurement left in its folder: JSON, Parquet, or what its commands printed.
+"""Readers of figures from a measurement's folder: JSON, Parquet, or the printed output of its commands.
 
-``json``: a file of {name: {value, ...}} or {name: number}; ``only`` is a regular expression for names,
-``of`` a part of the file, ``name`` what comes before the names of numbers.
+``json``: a file of {name: {value, ...}} or {name: number}; ``only`` is a regular expression for names, ``of`` selects a
+part of the file, ``name`` is a prefix for the names of numbers.
 ``rows``: a Parquet file; each row that ``where`` selects gives a figure for each of ``values``: its name, and the
-columns, or expressions, of value, low, high and n. ``name`` is filled from the row.
+columns or expressions of value, low, high and n. Columns of the row fill in ``name``.
 ``printed``: a regular expression over the output. Its groups are the figures; groups of ``name`` name them.
-``count``: a regular expression over the output; its matches are counted, as the figure ``name``.
+``count``: a regular expression over the output; the number of its matches is the figure ``name``.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ Figures = dict[str, dict[str, Any]]
 
 
 def read_figures(folder: Path, output: str, specs: Sequence[Mapping[str, Any]]) -> Figures:
-    """Every figure of a finished measurement.
+    """Read every figure of a finished measurement.
 
-    Raises: ValueError for a reader that found nothing, or a name that is there twice.
+    Raises: ValueError if a reader finds nothing, or if a name occurs twice.
     """
     found: Figures = {}
     for spec in specs:

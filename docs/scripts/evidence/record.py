@@ -1,7 +1,8 @@
-"""What was measured: docs/measured/NAME.json maps the name of each figure to value, unit, interval, commit and command,
-and where known n. docs/measured/records/NAME.json says once for all of them the commit, the files that the figures
-depend on and their digest at that commit, machine, command, seconds. A commit of None is not recorded: ``written_at``
-then names the commit that wrote the figures down.
+"""Measured figures in docs/measured/NAME.json, and their records in docs/measured/records/NAME.json.
+
+NAME.json maps each figure's name to value, unit, interval, commit, command and, where known, n. The record states once
+for all of them commit, machine, command, seconds, the files that the figures depend on and their digest at that commit.
+A commit of None is not known: ``written_at`` then names the commit that added the figures.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ _OF_RECORD = ("commit", "command")
 
 
 class NoGitError(Exception):
-    """The checkout has no git, or lacks what is asked for."""
+    """The checkout has no git repository, or the repository lacks the requested object."""
 
 
 def figure(
     value: float | str, unit: str = "", low: float | None = None, high: float | None = None, n: int | None = None
 ) -> dict[str, Any]:
-    """A figure as it stands in a file; what is not known is left out. Numbers keep six digits."""
+    """Return a figure as stored in a file: without unknown fields, numbers rounded to six digits."""
     interval = None if low is None or high is None else [_short(low), _short(high)]
     full = {"value": _short(value), "unit": unit, "interval": interval, "n": n}
     return {key: one for key, one in full.items() if one not in (None, "")}
@@ -40,7 +41,7 @@ def _short(value: float | str) -> float | str:
 
 
 def read(name: str) -> dict[str, Any]:
-    """``measured``, the record, and ``figures`` of an entry."""
+    """Read an entry: its record as ``measured``, and its ``figures``."""
     rows: dict[str, dict[str, Any]] = json.loads(_file(name).read_text(encoding="utf-8"))
     figures = {
         key: {part: one for part, one in row.items() if part not in _OF_RECORD and one not in (None, "")}
@@ -50,7 +51,7 @@ def read(name: str) -> dict[str, Any]:
 
 
 def write(name: str, figures: Mapping[str, Any], measured: Mapping[str, Any]) -> Path:
-    """Write an entry's figures, a line each, and then its record; each whole or not at all."""
+    """Write an entry's figures, one per line, and then its record. Each file is written whole or not at all."""
     from shift3d.store.atomic import write_atomic
 
     known = {part: measured.get(part) for part in _OF_RECORD}
@@ -71,7 +72,7 @@ def _record_file(name: str) -> Path:
 
 
 def git(*words: str) -> str:
-    """What git says. Raises NoGitError where it fails."""
+    """Return the output of a git command. Raises NoGitError if the command fails."""
     try:
         done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError) as error:
@@ -86,25 +87,25 @@ def _blobs(commit: str) -> dict[str, str]:
 
 
 def matching(paths: Iterable[str], globs: Sequence[str]) -> list[str]:
-    """Paths that a glob names, sorted; ``*`` goes over slashes."""
+    """Return the sorted paths that match a glob; ``*`` matches slashes, too."""
     return sorted(path for path in paths if any(fnmatch.fnmatchcase(path, glob) for glob in globs))
 
 
 def digest(globs: Sequence[str], commit: str = "HEAD") -> str:
-    """Of the content of the files that globs name at a commit."""
+    """Compute the digest of the contents of all matching files at a commit."""
     blobs = _blobs(commit)
     text = "\n".join(f"{path} {blobs[path]}" for path in matching(blobs, globs))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def uncommitted(globs: Sequence[str]) -> list[str]:
-    """Files that globs name and that differ from HEAD."""
+    """Return the matching files that differ from HEAD."""
     rows = [row[3:] for row in git("status", "--porcelain", "-z", "--no-renames").split("\0") if row]
     return matching(rows, globs)
 
 
 def machine() -> str:
-    """The processor and its cores."""
+    """Return the processor's name and its number of cores."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

@@ -21,7 +21,7 @@ def field_of(code: Tensor) -> Field:
 
 
 def small_problem(**changes: object) -> AttackProblem:
-    """A vehicle nine metres away on flat ground, seen by 48 beams; float64."""
+    """Return a vehicle nine metres away on flat ground, seen by 48 beams; float64."""
     settings = preset("standard").with_(dtype=torch.float64, **changes)
     beams = Beams.from_arrays(*ground_scan(rings=48, columns=600))
     rules = Constraints(min_object_points=50)

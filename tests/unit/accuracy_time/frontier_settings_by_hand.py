@@ -1,4 +1,4 @@
-"""Settings and outcomes made by hand, for tests of what is done with them."""
+"""Handmade settings and outcomes, for tests of their processing."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from shift3d.accuracy_time.settings import Setting
 
 
 def setting(name: str, solver: str = "sphere_tracing", **changes: Any) -> Setting:
-    """A setting whose renderings are told apart by `solver` and what else is in `renderer`."""
+    """Return a setting whose renderings differ by `solver` and the other entries of `renderer`."""
     renderer = {"solver": solver, **changes.pop("renderer", {})}
     accuracy = {**renderer, "detector": changes.pop("detector", "float32")}
     return Setting(name, changes.pop("method", "presets"), accuracy, **changes)
 
 
 def outcome(**changes: Any) -> dict[str, Any]:
-    """A rendering without an error: 100 hits, 80 of them thick, 1,000 beams through the ball."""
+    """Return a rendering without an error: 100 hits, 80 of them thick, 1,000 beams through the ball."""
     plain: dict[str, Any] = dict.fromkeys(("missed", "missed_thick", "wrong", "false", "unresolved"), 0)
     plain |= {"hits": 100, "thick_hits": 80, "depth_m": [0.0] * 100, "residual_m": 0.0, "evaluations": 2000}
     return plain | {"ball_beams": 1000, "score": 0.9, "true_score": 0.9, **changes}
 
 
 def look(render_ms: float = 100.0, **changes: Any) -> dict[str, Any]:
-    """A first look at a rendering without an error."""
+    """Return a first look at a rendering without an error."""
     times = {"render_ms": render_ms, "detector_ms": 30.0, "step_ms": render_ms + 50.0}
     return {**times, "cosines": [1.0, 1.0], "norm_ratios": [1.0, 1.0], **outcome(), **changes}
 
 
 class StoppedError(Exception):
-    """What an interruption looks like."""
+    """A simulated interruption."""
 
 
 @dataclass
 class FakeInstrument:
-    """Answers that depend on the setting and on how often it was asked, and a count of the calls.
+    """Instrument whose answers depend on the setting and the number of calls, with a count of the calls.
 
-    stop_after: calls until it is interrupted. slow: settings whose rendering takes a minute.
+    stop_after: number of calls before an interruption. slow: settings whose rendering takes a minute.
     """
 
     stop_after: int = 10**9

@@ -1,4 +1,4 @@
-"""What the comparison with an earlier commit counts, and what it refuses."""
+"""Counts of the comparison with an earlier commit, and its refusals."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_hits_of_a_replayed_attack_are_held_against_the_truth(mode: str, tmp_pat
     range_m = torch.stack([torch.where(one.hit_mask, one.range_m, torch.nan) for one in true])
     hits = int((~range_m.isnan()).sum())
     moved = torch.nonzero(~range_m[0].isnan())[:7, 0]
-    range_m[0, moved] += 0.02  # seven hits that no renderer finds where they are said to be
+    range_m[0, moved] += 0.02  # seven hits that no renderer finds at the stated place
     parts = {
         "points": beams.points, "origins": beams.origins, "codes": code.repeat(3, 1),
         "poses": poses, "range_m": range_m,

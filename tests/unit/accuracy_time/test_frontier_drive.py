@@ -1,4 +1,4 @@
-"""From places to a measured frontier: what is wrong is said first, and what was measured belongs to its code."""
+"""From places to a measured frontier: errors are reported first, and results belong to the measured code."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MEASURES_NOTHING = {
     *("effects", "errors", "exit_codes", "naturalness", "progress_bar", "seeding", "settings", "store", "training"),
     "wording",
 }
-"""Reads settings, keeps tables, words texts, draws places (which are part of a case), or is of other tasks alone."""
+"""Packages that read settings, keep tables, format texts, draw places (part of a case), or serve other tasks alone."""
 
 
 def test_a_case_without_a_place_is_said_before_another_is_measured(tmp_path: Path) -> None:

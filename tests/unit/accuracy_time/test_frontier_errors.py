@@ -1,4 +1,4 @@
-"""Errors of a rendering against the truth, counted on renderings made by hand; chords through a thin plate."""
+"""Errors of a rendering against the truth, counted on handmade renderings; chords through a thin plate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FRAME = Frame(scale_m=2.5)
 
 
 def rendering(ranges: dict[int, float], beams: int = 12) -> Rendering:
-    """Hits of some beams at these ranges; the others return from 40 m."""
+    """Return hits of some beams at these ranges; the others return from 40 m."""
     hit, range_m = torch.zeros(beams, dtype=torch.bool), torch.full((beams,), 40.0, dtype=torch.float64)
     for beam, found in ranges.items():
         hit[beam], range_m[beam] = True, found
@@ -43,8 +43,8 @@ def test_the_truth_itself_has_no_error() -> None:
 
 
 def test_every_kind_of_error_is_counted_once() -> None:
-    # 1 right but for a millimetre; 3 (thin) and 6 (thick) missed; 4 on a surface 0.5 m behind; 9 just within 1 cm;
-    # 0 and 2 hit nothing that is there.
+    # 1 correct to a millimetre; 3 (thin) and 6 (thick) missed; 4 on a surface 0.5 m behind; 9 just within 1 cm; 0 and 2
+    # hit nothing real.
     found = compare(TRUTH, rendering({1: 10.001, 4: 12.5, 9: 13.9905, 0: 7.0, 2: 8.0}))
     assert (found.missed, found.missed_thick, found.wrong, found.false) == (2, 1, 1, 2)
     assert found.depth_m == pytest.approx((0.001, 0.0095), abs=1e-12)
@@ -79,7 +79,7 @@ def test_the_chord_of_a_plate_is_its_thickness_over_the_cosine(thickness_m: floa
 
 
 def test_chords_are_measured_beam_by_beam_and_end_at_five_centimetres() -> None:
-    # Parallel beams through a ball: 2 sqrt(r^2 - d^2), and one that only touches it.
+    # Parallel beams through a ball: 2 sqrt(r^2 - d^2), and one tangent beam.
     apart = torch.tensor([0.0, 0.9, 0.9999, 0.99999, 1.0], dtype=torch.float64)
     start = torch.stack((torch.full_like(apart, -2.0), apart, torch.zeros_like(apart)), 1)
     half = (1.0 - apart**2).clamp_min(0).sqrt()

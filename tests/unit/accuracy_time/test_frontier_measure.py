@@ -26,13 +26,13 @@ from shift3d.task.spec import PlacementSpec, TaskSpec
 
 @dataclasses.dataclass(frozen=True)
 class SoftVehicle(Frame):
-    """A vehicle of the closed-form family."""
+    """Vehicle of the closed-form family."""
 
     latent_code: np.ndarray = dataclasses.field(default_factory=lambda: CODE.numpy().astype(np.float32))
 
 
 class SoftAssets:
-    """What `task.Assets` offers, made of closed forms."""
+    """Replacement of `task.Assets` with closed-form parts."""
 
     def __init__(self) -> None:
         points, origin = ground_scan(rings=48, columns=600)
@@ -144,7 +144,7 @@ def test_a_blind_step_misses_hits_and_its_gradient_points_elsewhere(instrument: 
 def test_a_warm_rendering_finds_the_same_and_takes_the_gradient_of_its_attack(
     instrument: CaseMeasurer, attack: str
 ) -> None:
-    # An attack on the pose keeps the shape, and so its SDF grid; one on the shape has the previous rendering alone.
+    # A pose attack keeps the shape, and so its SDF grid; a shape attack has only the previous rendering.
     chosen = setting("standard", f"warm {attack}", {"dtype": "float64"}, warm=attack, grid=attack == "pose")
     found = instrument.look(chosen)
     cold = instrument.look(setting("standard", f"cold {attack}", {"dtype": "float64"}))

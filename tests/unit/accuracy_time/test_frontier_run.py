@@ -1,4 +1,4 @@
-"""All settings on a case: each thing measured once, in turns, and the same rows after any interruption."""
+"""All settings on a case: each quantity measured once, in turns, and the same rows after any interruption."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_settings_that_render_the_same_share_their_times_and_tie(tmp_path: Path)
     assert {name for what, name in instrument.calls if what == "sample"} == {"standard", "paper", "plain"}
     for name in ("crop 5 m", "detector in float64"):
         assert rows[name]["ms_median"] == rows["standard"]["ms_median"]
-    # Its own attack step, but not its own displaced rendering: the score is float32's in both.
+    # It has its own attack step, but not its own displaced rendering: the score is float32's in both.
     assert ("look", "crop 5 m") in instrument.calls and ("displaced", "crop 5 m") not in instrument.calls
     assert ("displaced", "detector in float64") in instrument.calls
 

@@ -1,4 +1,4 @@
-"""Times are taken in turns, without the garbage collector, and as often as they are worth."""
+"""Times are taken in turns, without the garbage collector, and more often where more precision is worth it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_everybody_gets_what_it_wants_in_order_and_spread_over_the_run(wanted: d
 
 
 def test_drift_of_the_machine_hits_all_alike() -> None:
-    # A machine that takes one unit longer with every call: means of what took turns differ by less than a round.
+    # A machine that takes one unit longer with every call: means over turns differ by less than a round.
     spent: dict[str, list[int]] = {"a": [], "b": [], "c": []}
     for clock, (name, _) in enumerate(interleaved_samples(dict.fromkeys(spent, 6))):
         spent[name].append(clock)

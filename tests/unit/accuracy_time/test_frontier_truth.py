@@ -1,4 +1,4 @@
-"""What errors are measured against: kept on disk without loss, and scored as tasks score."""
+"""The truth that errors are measured against: stored on disk without loss, and scored like a task's scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which settings are dominated, worked out by hand and against a plain reference; and what their one error bounds."""
+"""Dominated settings by hand and against a plain reference, and the bound that their combined error gives."""
 
 from __future__ import annotations
 
@@ -74,17 +74,17 @@ def test_of_several_dominators_the_fastest_that_is_at_least_as_accurate_then_the
 def test_ties_are_on_the_front_together_or_behind_it_together() -> None:
     assert dominating_rows([1, 1, 1], [2, 2, 2]).tolist() == [-1, -1, -1]
     assert dominating_rows([1, 1, 2, 2], [2, 2, 3, 3]).tolist() == [-1, -1, 0, 0]
-    # A tie in one of the two is decided by the other.
+    # A tie in one column is decided by the other.
     assert dominating_rows([1, 1], [2, 3]).tolist() == [-1, 0]
     assert dominating_rows([1, 2], [3, 3]).tolist() == [-1, 0]
 
 
 def test_a_warm_row_takes_no_cold_row_off_the_front() -> None:
     time, error, warm = [2.0, 1.0, 3.0, 4.0], [5.0, 5.0, 4.0, 6.0], [False, True, True, False]
-    # Row 3 is cold and worse than cold row 0; warm row 1 is faster, but there is nothing to start it from.
+    # Row 3 is cold and worse than cold row 0; warm row 1 is faster, but has no rendering to start from.
     assert dominating_rows(time, error, warm).tolist() == [-1, -1, -1, 0]
     assert dominating_rows(time, error).tolist() == [1, -1, -1, 1]
-    # A cold row that is better makes a warm one pointless.
+    # A better cold row makes a warm row pointless.
     assert dominating_rows([1.0, 2.0], [1.0, 2.0], [False, True]).tolist() == [-1, 0]
 
 
@@ -101,10 +101,10 @@ def plain_front(time: npt.NDArray[np.int64], error: npt.NDArray[np.int64]) -> li
 @pytest.mark.parametrize("seed", range(30))
 def test_the_front_is_that_of_the_plain_reference_whatever_the_order(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    time, error = rng.integers(0, 6, (2, int(rng.integers(1, 25))))  # small numbers, so that there are ties
+    time, error = rng.integers(0, 6, (2, int(rng.integers(1, 25))))  # small numbers, so that ties occur
     by = dominating_rows(time, error)
     assert (by < 0).tolist() == plain_front(time, error)
-    assert all(by[winner] < 0 for winner in by[by >= 0])  # who is named is on the front
+    assert all(by[winner] < 0 for winner in by[by >= 0])  # every dominating row is on the front
     order = rng.permutation(len(time))
     assert ((dominating_rows(time[order], error[order]) < 0) == (by < 0)[order]).all()
 
@@ -155,10 +155,10 @@ def test_an_error_of_zero_is_where_the_diagram_has_it() -> None:
 
 def test_a_row_is_dominated_only_by_what_has_its_conditions_and_does_its_work() -> None:
     time, error = [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]
-    # A grid at hand: row 0 cannot stand in for row 1, which has none, but row 1 can for row 2.
+    # With grids: row 0 cannot replace row 1, which has no grid, but row 1 can replace row 2.
     assert dominating_rows(time, error, grid=[True, False, True]).tolist() == [-1, -1, 0]
     assert dominating_rows(time, error, grid=[True, False, False]).tolist() == [-1, -1, 1]
-    # What is ready for a gradient takes longer than what is not, and can stand in for it.
+    # A rendering ready for a gradient takes longer than one that is not, and can replace it.
     assert dominating_rows(time, error, gradient=["no", "shape", "shape"]).tolist() == [-1, -1, 1]
     assert dominating_rows(time, error, gradient=["pose", "shape", "no"]).tolist() == [-1, -1, 0]
     rows = [frontier_row("cold", 1.0, grid=True), frontier_row("without grid", 2.0), frontier_row("slower", 3.0)]

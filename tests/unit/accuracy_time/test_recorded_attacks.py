@@ -1,4 +1,4 @@
-"""What the script of recorded attacks counts: losses made for the purpose, each under its name."""
+"""Counts of the script of recorded attacks: artificial losses, each under its name."""
 
 from __future__ import annotations
 

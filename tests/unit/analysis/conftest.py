@@ -1,4 +1,4 @@
-"""What tests of this room share."""
+"""Fixtures of the tests of the analysis."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shift3d.sweep.results.final import write_final
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished sweep by hand: tests only read it."""
+    """A handmade finished sweep; tests only read it."""
     folder = tmp_path_factory.mktemp("report") / "sweep"
     valid_sweeps.write_sweep(folder)
     write_final(folder, read_plan(folder), read_log(folder))

@@ -1,4 +1,4 @@
-"""What is said of a frontier: the words and the table say what the numbers say."""
+"""Advice on a frontier: words and table agree with the numbers."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_numbers_as_people_read_them() -> None:
 
 
 def test_a_setting_with_a_gradient_is_no_step_of_the_front_without() -> None:
-    """It is on the front, as nothing faster has a gradient, and is neither faster nor more accurate."""
+    """The setting is on the front because nothing faster has a gradient, but is neither faster nor more accurate."""
     rows = [
         frontier_row("draft", 1.0, preset="draft", **with_depth(1e-2)),
         frontier_row("standard", 2.0, preset="standard", **with_depth(1e-5)),

@@ -1,4 +1,4 @@
-"""What accuracy cost, and would cost, is what the frames hold."""
+"""Measured and expected cost of accuracy equals the values in the frames."""
 
 from pathlib import Path
 from typing import Any
@@ -47,11 +47,11 @@ def test_audits_are_summed_each_object_once() -> None:
 
 
 def test_a_baseline_that_tasks_share_is_one_object() -> None:
-    """Tasks of a shape and of a pose search stand in one place: the unchanged vehicle was audited for the first."""
+    """Shape and pose tasks have the same place: the unchanged vehicle was audited for the first task."""
     audited = {**CLEAN, "depth_error_max_m": 1e-4, "max_residual_m": 1e-6, "unresolved_beams": 1, "non_finite": 0}
     audited |= {"grazing_gradient": None, "least_slope": None}
     found = [score(task, method, **audited) for task in "ab" for method in ("adversarial", "baseline")]
-    same = pd.DataFrame(found).assign(scene="one")  # a shape search leaves the pose as it is
+    same = pd.DataFrame(found).assign(scene="one")  # a shape search does not change the pose
     (text,) = accuracy_cost(same, pd.DataFrame([timing("a", "total", 2000.0)]))
     assert "standard: 192 beams of 3 objects rendered again at reference accuracy: of 96 true hits" in text
     assert "3 unresolved beams" in diagnostics(same) and "over 3 objects" in diagnostics(same)

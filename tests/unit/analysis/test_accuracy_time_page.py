@@ -1,4 +1,4 @@
-"""The frontier's report: the words say what the numbers say, and the diagram can be read."""
+"""The frontier's report: words agree with the numbers, and the diagram is legible."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from shift3d.store.tables import write_table
 
 
 def crowded_rows() -> list[dict[str, Any]]:
-    """Fourteen settings on the front, close to one another."""
+    """Return fourteen settings on the front, close to one another."""
     rows = [march(0.4 / (i + 1), 1.0 * 1.12**i, 1e-3 * 0.8**i) for i in range(12)]
     rows.append(frontier_row("draft", 0.95, preset="draft", **with_depth(1.1e-3)))
     return [*rows, frontier_row("standard", 4.0, preset="standard", **with_depth(1e-5))]
@@ -44,7 +44,7 @@ CASES = {
 
 @functools.cache
 def as_drawn(case: str) -> tuple[pd.DataFrame, Figure]:
-    """The frame of a case, and its figure as it is drawn: tests only look at it."""
+    """Return the frame of a case and its drawn figure; tests only read them."""
     frame = frame_of(CASES[case])
     figure = work_precision_figure(frame)
     figure.canvas.draw()
@@ -109,7 +109,7 @@ def test_a_line_joins_a_method_in_the_order_of_its_knob_and_dominated_settings_a
     hollow = {tuple(line.get_xydata()[0].round(9)) for line in marked(left) if line.get_markerfacecolor() == "white"}
     dominated = [row for row in flagged(rows) if not row["pareto"]]
     assert {time for _, time in hollow} == {row["ms_median"] for row in dominated} == {100.0, 200.0, 400.0, 800.0}
-    # Missed and wrong of paper, 0.3 % and 0.2 %, on the other panel.
+    # Missed and wrong hits of paper, 0.3 % and 0.2 %, on the other panel.
     assert [0.005, 800.0] in [[round(x, 9), y] for line in marked(right) for x, y in line.get_xydata().tolist()]
 
 
@@ -126,7 +126,7 @@ def test_the_scales_are_logarithmic_and_the_ratio_is_one_at_paper() -> None:
 
 def test_methods_differ_in_colour_and_in_marker() -> None:
     _, figure = as_drawn("realistic")
-    handles = figure.legends[0].legend_handles[:-2]  # the last ones say what hollow markers and rings are
+    handles = figure.legends[0].legend_handles[:-2]  # the last two explain hollow markers and rings
     methods = {row["method"] for row in realistic_rows()}
     assert len(handles) == len(methods) == 8
     assert len({handle.get_marker() for handle in handles}) == len({handle.get_color() for handle in handles}) == 8

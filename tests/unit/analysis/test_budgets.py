@@ -1,4 +1,4 @@
-"""The AUC against the budget of naturalness: which searches it compares, and what it says of them."""
+"""The AUC against the budget of naturalness: the searches in the comparison, and the text about them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BASE = [0.8, 0.9, 0.7, 0.85]
 
 
 def searched(search: str, share: float, drawn: float = 0.9, mode: str = "shape") -> Variant:
-    """A search that leaves a share of every baseline score; the random draws leave another."""
+    """Return a search that leaves a share of every baseline score; the random draws leave another share."""
     scores = {("baseline", "suv"): BASE, ("adversarial", "suv"): [share * one for one in BASE]}
     scores |= {("random_budget", "suv"): [drawn * one for one in BASE]}
     cm = {f"suv-{scene}": 1.0 + scene for scene in range(4)}
@@ -77,7 +77,7 @@ def test_the_page_draws_both_methods_at_every_budget() -> None:
 
 
 def test_an_interval_without_an_end_hides_its_own_bar_alone() -> None:
-    """Where many draws hold none but baselines of score 0, the ratio of one budget has no upper end."""
+    """The ratio of one budget has no upper end if many draws hold only baselines of score 0."""
     found = bars([Interval(0.5, 0.4, 0.75), Interval(0.5, 0.25, math.inf), Interval(0.5, -math.inf, math.inf)])
     assert found["array"].tolist() == [0.25, 0.0, 0.0]
     assert found["arrayminus"].tolist() == pytest.approx([0.1, 0.25, 0.0])

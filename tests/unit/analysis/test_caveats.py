@@ -1,4 +1,4 @@
-"""A sweep whose numbers mean nothing says so, whatever its name, with the command for numbers that do."""
+"""A sweep with meaningless numbers says so, whatever its name, and names the command for meaningful ones."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_settings_that_no_column_tells_apart_are_named() -> None:
 
 
 def two_folders(config: Config) -> Catalogue:
-    """Other frames of the same names under another seed, as two folders of frames have them."""
+    """Return frames of the same names with other contents under another seed, like two folders of frames."""
     found = valid_sweeps.catalogue(config)
     other = [
         dataclasses.replace(entry, content_hash=f"{entry.content_hash}{config.scenes.seed}") for entry in found.scenes

@@ -1,4 +1,4 @@
-"""The measured impact of effects: paired over the same objects, with intervals, and what auto makes of it."""
+"""The measured impact of effects: paired over the same objects, with intervals, and the choices of effects=auto."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SCENES = [f"street-{number}" for number in range(12)]
 
 
 def tables(changes: dict[str, np.ndarray], milliseconds: dict[str, float]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Scores of one vehicle in 12 scenes without effects (0.5, adversarial 0.2) and with each of some, changed."""
+    """Return scores of one vehicle in 12 scenes: without effects (0.5, adversarial 0.2), and changed by each effect."""
     scores, timings = [], []
     for effect, change in {"": np.zeros(len(SCENES)), **changes}.items():
         for scene, moved in zip(SCENES, change, strict=True):
@@ -80,7 +80,7 @@ def test_times_of_many_places_are_paired_without_making_every_combination() -> N
 
 
 def test_a_baseline_that_tasks_share_has_its_time_whichever_of_them_spent_it() -> None:
-    """A worker renders it for the first task that it runs, which under another effect may be another one."""
+    """A worker renders the shared baseline for its first task, which may be a different task under another effect."""
     scores, timings = tables({"fog": np.zeros(12)}, {"fog": 7.0})
     pose = scores.assign(task_id="pose-" + scores["task_id"], mode="pose", **{"lambda": np.nan})
     fog = timings["task_id"].str.startswith("fog-")

@@ -1,4 +1,4 @@
-"""An evaluation's folder: the same bytes for the same detections, and all that is needed to compute it again."""
+"""An evaluation's folder: the same bytes for the same detections, and all data to repeat the computation."""
 
 from __future__ import annotations
 

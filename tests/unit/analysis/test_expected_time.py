@@ -1,4 +1,4 @@
-"""What a plan will take: by earlier tasks of the same settings, scaled to other ones, less what is done."""
+"""Expected time of a plan: from earlier tasks of the same settings, scaled to other settings, less finished tasks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def ray(**settings: float) -> RayRunnerConfig:
 
 
 def ran(folder: Path, done: Plan, seconds: float) -> Path:
-    """A sweep's folder whose tasks took so long, each after a failed try of one second."""
+    """Write a sweep's folder whose tasks took this long, each after a failed try of one second."""
     open_folder(folder, done)
     log = CommitLog(folder, done.spec_hash)
     for task_id in done.tasks.ids.to_pylist():
@@ -73,7 +73,7 @@ def test_scenes_without_a_place_do_not_say_how_long_a_search_takes(tmp_path: Pat
 
 
 def test_other_settings_are_scaled_by_the_figures_that_ship(tmp_path: Path) -> None:
-    """The same tasks at another number of steps, and in fog: in the proportion of the figures, counted as guessed."""
+    """The tasks have another number of steps and fog: the shipped figures scale them, and they count as guessed."""
     small, large = plan_of("mode=shape"), plan_of("mode=shape", "attack.steps=31")
     foggy = plan_of("mode=shape", "effects=fog", "effects.visibility_m=30")
     folder = ran(tmp_path / "earlier", small, 6.0)
@@ -98,7 +98,7 @@ def test_the_figures_that_ship() -> None:
 
 
 def test_a_task_by_its_parts() -> None:
-    """10 steps and the start, two random shapes, three with noise: 11 steps and 7 objects."""
+    """10 steps and the start are 11 steps; with two random shapes and three with noise they render 7 objects."""
     parts = TaskPartTimes(
         "by hand", "standard", {"shape": 1e6, "pose": 0.0}, {"shape": 1e4}, {"shape": 1e3},
         {"pointpillars": 100.0, "sst": 200.0}, {"pointpillars": 1.0, "sst": 2.0}, 0.5,
@@ -116,7 +116,7 @@ def test_a_task_by_its_parts() -> None:
 
 
 def test_what_stands_beside_a_search_counts() -> None:
-    """Random draws take as many renderings as the search, a universal shape as many a step as it has scenes."""
+    """Random draws take as many renderings as the search; a universal shape takes one per step and scene."""
     parts = TaskPartTimes(
         "by hand", "standard", {"shape": 0.0, "pose": 7.0}, {"shape": 10.0, "pose": 20.0}, {"shape": 1e3, "pose": 2e3},
         {"pointpillars": 0.0}, {"pointpillars": 0.0}, 0.0,
@@ -152,7 +152,7 @@ def test_earlier_tasks_with_fewer_transfers_are_scaled(tmp_path: Path) -> None:
 
 
 def test_parts_of_tasks_from_their_timings() -> None:
-    """Two shape tasks before one detector, scored by another too, and a pose task: by hand."""
+    """Two shape tasks against one detector, also scored by another one, and a pose task are computed by hand."""
     tasks = [("a", "shape"), ("b", "shape"), ("c", "pose")]
     scores = pd.DataFrame([(task, mode, "one", "standard") for task, mode in tasks for _ in range(3)])
     scores.columns = ["task_id", "mode", "detector", "accuracy"]

@@ -54,7 +54,7 @@ def test_the_same_weights_pass_and_worse_ones_are_stopped(folder: Path) -> None:
     assert "not accepted" in worse.text and releases(folder) == ["00000001.parquet"]
     better = gate(folder, -1.5, "true")
     assert better.exit_code == ExitCode.DONE and releases(folder) == ["00000001.parquet", "00000002.parquet"]
-    # What was better than the first release is the last one from then on; the first can still be named.
+    # After a release better than the first one, that release is the last one; the first can still be named.
     assert gate(folder, -2.0).exit_code == ExitCode.WORSE
     assert gate(folder, -2.0, against=1).exit_code == ExitCode.DONE
     assert gate(folder, -2.6, "anyway").exit_code == ExitCode.WORSE and len(releases(folder)) == 3
@@ -73,7 +73,7 @@ def test_a_roll_back_is_the_last_release_from_then_on(folder: Path) -> None:
 
 @pytest.mark.parametrize(("bias", "accept"), [(-1.5, "true"), (-2.6, "anyway")])
 def test_an_accepted_release_run_again_repeats_its_verdict(folder: Path, bias: float, accept: Acceptance) -> None:
-    """With or without accept=, the files are what was found against the release before; what was accepted passes."""
+    """The files compare with the release before, with or without accept=; an accepted release passes."""
     gate(folder, -2.0, "true")
     gate(folder, bias, accept)
     files = {path.name: path.read_bytes() for path in (folder / f"out{bias:g}").glob("gate.*")}
@@ -112,7 +112,7 @@ def test_a_sweep_that_scored_a_part_is_no_release(folder: Path, what: str) -> No
 
 
 def test_detectors_of_one_kind_have_releases_of_their_own(folder: Path) -> None:
-    """A detector that scores less than another of its kind is no worse release of it."""
+    """A detector that scores less than another of its kind is no worse release of that detector."""
     write_suite(folder / "suite", scored_by="own")
     suite = read_suite(folder / "suite")
     history = suite.folder / "releases"
@@ -145,7 +145,7 @@ def test_a_damaged_answer_is_to_be_removed(folder: Path) -> None:
 def test_what_another_program_scored_is_scored_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gate(folder, -2.0, "true")
     assert gate(folder, -2.6).exit_code == ExitCode.WORSE
-    for file in (folder / "out-2.6").glob("answers*/*.parquet"):  # as a program that is surer would have left it
+    for file in (folder / "out-2.6").glob("answers*/*.parquet"):  # like the files of a program with higher scores
         table = pq.read_table(file)
         file.write_bytes(suite_table_bytes(table.set_column(1, table.schema.field(1), pa.array([0.99] * len(table)))))
     assert gate(folder, -2.6).exit_code == ExitCode.DONE
@@ -181,7 +181,7 @@ def test_what_is_written_says_what_got_worse_worst_first(folder: Path) -> None:
     lost = table["detected_before"] & ~table["detected"]
     assert 0 < lost.sum() < len(table) and lost[: lost.sum()].all(), "lost objects come first"
     assert table["change"][: lost.sum()].is_monotonic_increasing
-    # A bias is a bias: every logit fell by it.
+    # A bias lowers every logit by the same amount.
     logit = np.log(table[["score_before", "score"]] / (1.0 - table[["score_before", "score"]]))
     assert np.allclose(logit["score"] - logit["score_before"], -0.6, atol=1e-4)
     verdict = json.loads((folder / "out-2.6" / "verdict.json").read_bytes())

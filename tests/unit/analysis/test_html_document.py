@@ -1,4 +1,4 @@
-"""Pages show every block that they are given."""
+"""Pages show every given block."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def test_one_object_a_scene_and_one_measure_is_mcnemars_exact_test(lost: int, ga
 
 
 def test_objects_of_one_scene_count_once() -> None:
-    """Ten objects lost in one scene are one event; each in a scene of its own they are ten."""
+    """Ten objects lost in one scene are one event; each in a scene of its own, they are ten events."""
     differences = -np.ones((10, 1))
     assert flip_p_values(scene_sums(differences, ["a"] * 10))[0] == 0.5
     assert flip_p_values(scene_sums(differences, list("abcdefghij")))[0] == 2.0**-10
@@ -38,7 +38,7 @@ def test_p_values_are_corrected_for_the_measures_and_unchanged_ones_are_one() ->
     alone = flip_p_values(sums[:, :1])[0]
     together = flip_p_values(sums)
     assert alone < together[0] <= 3 * alone + 0.01 and together[0] == together.min()
-    # A measure that is the same as another costs nothing, and one without a change neither.
+    # A duplicate measure costs no significance, and neither does a measure without a change.
     assert flip_p_values(sums[:, [0, 0]])[0] == alone
     assert flip_p_values(np.c_[sums[:, :1], np.zeros(40)]).tolist() == [alone, 1.0]
     assert flip_p_values(np.zeros((0, 2))).tolist() == [1.0, 1.0]
@@ -58,7 +58,7 @@ def test_differences_are_of_each_groups_own_objects() -> None:
 
 
 def test_power_is_that_of_counting() -> None:
-    # Without churn a loss is found where enough objects are lost for 2^-b to be significant.
+    # Without churn a loss is found if enough objects are lost for 2^-b to be significant.
     assert recall_power(500, 0.02, 0.0, 0.025) == pytest.approx(binom.sf(5, 500, 0.02), abs=1e-9)
     rng = np.random.default_rng(2)
     drawn = rng.multinomial(300, [0.06, 0.02, 0.92], 4000)
@@ -78,7 +78,7 @@ def test_the_objects_needed_have_the_power_and_grow_with_churn() -> None:
 
 
 def suite(objects: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Scores of hard objects and of controls, two of each a scene."""
+    """Return scores of hard objects and of controls, two of each per scene."""
     rng = np.random.default_rng(3)
     logits = np.concatenate((rng.normal(-0.5, 2.0, objects), rng.normal(2.0, 1.2, objects)))
     places = [str(index % objects // 2) for index in range(2 * objects)]
@@ -87,7 +87,7 @@ def suite(objects: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.1])
 def test_of_200_releases_a_loss_of_two_points_is_found_in_nine_of_ten(noise: float) -> None:
-    """500 hard objects: found in at least 90 % with the loss, stopped in at most 5 % without one."""
+    """The gate finds the loss of 500 hard objects in at least 90 %, and stops at most 5 % without a loss."""
     rates = stopped_releases(*suite(500), noise, 0.02, ReleaseRule(), releases=200)
     assert rates.found is not None and rates.found >= 0.90
     assert rates.false_alarms <= 0.05
@@ -96,7 +96,7 @@ def test_of_200_releases_a_loss_of_two_points_is_found_in_nine_of_ten(noise: flo
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
 def test_noisy_trainings_are_not_stopped_more_often(noise: float) -> None:
-    """Whatever the noise, and though objects of a scene share half of it."""
+    """The rate stays the same for any noise, although objects of a scene share half of the noise."""
     scores, hard, places = suite(240)
     strict = ReleaseRule(level=0.05, tolerance=0.0)
     rates = stopped_releases(scores, hard, places, noise, 0.02, strict, releases=400)

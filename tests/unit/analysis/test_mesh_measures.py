@@ -24,7 +24,7 @@ def test_a_box_is_measured_in_centimetres() -> None:
 
 def test_cavities_and_crumbs_are_no_pieces() -> None:
     box, hollow = trimesh.creation.box((4.2, 1.8, 1.5)), trimesh.creation.icosphere(radius=0.3)
-    hollow.invert()  # as marching cubes draws a cavity: its faces look inwards
+    hollow.invert()  # like a cavity from marching cubes: its faces look inwards
     crumb = trimesh.creation.icosphere(radius=0.005).apply_translation((0, 0, 1.0))
     wheel = trimesh.creation.icosphere(radius=0.1).apply_translation((0, 0, -0.95))
     assert measure_mesh(trimesh.util.concatenate([box, hollow, crumb])).pieces == 1
@@ -33,7 +33,7 @@ def test_cavities_and_crumbs_are_no_pieces() -> None:
 
 
 def profile(lift_m: float, hood_m: float, windshield_deg: float) -> trimesh.Trimesh:
-    """A car of 4 m x 1.8 m x 1.5 m drawn from the side: a hood of 1 m, a windshield, a roof; a bridge on two feet."""
+    """Return a car of 4 x 1.8 x 1.5 m by its side view: hood of 1 m, windshield, roof; a bridge on two feet."""
     roof_m = 1.0 - (1.5 - hood_m) / np.tan(np.radians(windshield_deg))
     ends = [(-2.0, -1.2), (-1.2, roof_m), (roof_m, 1.0), (1.0, 1.2), (1.2, 2.0)]
     parts = []

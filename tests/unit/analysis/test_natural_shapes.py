@@ -50,7 +50,7 @@ def test_a_constant_ratio_has_a_point_for_an_interval() -> None:
 
 
 def test_a_reference_that_some_draws_have_nothing_of_but_zeros_leaves_the_ratio_open_above() -> None:
-    """In a third of the draws of eight scenes the only one with a score is missing: the ratio there is no less."""
+    """A third of the draws of eight scenes lacks the only scene with a score: the ratio in these draws is unbounded."""
     rare = ratio_interval(rows_of([0.1] * 8), rows_of([0.9, *[0.0] * 7]))
     assert rare is not None and rare.mean == pytest.approx(8 / 9)
     assert rare.low < rare.mean and rare.high == np.inf
@@ -62,7 +62,7 @@ def test_a_reference_that_some_draws_have_nothing_of_but_zeros_leaves_the_ratio_
 def test_the_interval_holds_the_ratio_about_as_often_as_it_says() -> None:
     rng, held, times = np.random.default_rng(5), 0, 200
     for _ in range(times):
-        hard = rng.uniform(0.5, 1.0, 40)  # what makes a scene hard is in both
+        hard = rng.uniform(0.5, 1.0, 40)  # hard scenes are hard for both
         below = rows_of(list(hard * rng.uniform(0.8, 1.0, 40)))
         above = rows_of(list(hard * rng.uniform(0.2, 0.6, 40)))
         found = ratio_interval(above, below)
@@ -72,7 +72,7 @@ def test_the_interval_holds_the_ratio_about_as_often_as_it_says() -> None:
 
 
 def judged_scores(natural: list[bool]) -> pd.DataFrame:
-    """Four tasks; the first two fall from 0.8 to 0.6, the others to 0."""
+    """Return four tasks; the first two fall from 0.8 to 0.6, the others to 0."""
     scores = []
     for number in range(4):
         task = {"task_id": f"t{number}", "vehicle": "suv", "detector": "p", "alpha": 0.01, "lambda": 1.0}
@@ -116,7 +116,7 @@ def test_a_sweep_of_unnatural_shapes_names_the_one_that_finds_natural_ones() -> 
 
 
 def test_means_are_those_of_the_vehicles_as_in_the_table_of_aucs() -> None:
-    """A suv that falls from 0.8 to 0.6 twice, and a coupe once from 0.4 to 0.1."""
+    """A suv falls from 0.8 to 0.6 twice, and a coupe once from 0.4 to 0.1."""
     scores = judged_scores([True, True, True, False])
     coupe = scores["task_id"].eq("t2")
     scores.loc[coupe, "score"] = np.where(scores.loc[coupe, "method"] == "baseline", 0.4, 0.1)
@@ -149,7 +149,7 @@ def test_the_paper_stands_beside_its_own_search_alone() -> None:
 
 
 def transfers(places: int = 6) -> pd.DataFrame:
-    """A suv that falls from 0.8 to 0.4 wherever it is put, a coupe from 0.4 to 0.4, and a scene without room."""
+    """Return a suv that falls from 0.8 to 0.4 in every scene, a coupe with 0.4 in all, and a scene without room."""
     group = {
         "mode": "shape",
         "search": "descent",
@@ -178,7 +178,7 @@ def test_shapes_in_other_scenes_by_their_vehicles_means() -> None:
 
 
 def test_what_shapes_do_elsewhere_is_as_uncertain_as_so_many_shapes_leave_it() -> None:
-    """Nine shapes of which some are missed everywhere, in twelve other scenes each."""
+    """Nine shapes, some of which are missed everywhere, are put into twelve other scenes each."""
     known = transfers(1).iloc[0].to_dict()
     ends = [0.1, 0.7] * 4 + [0.1]
     rows = pd.DataFrame(

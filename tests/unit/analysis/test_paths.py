@@ -1,4 +1,4 @@
-"""Paths of the score: their mean and band, and what is said of folders that kept none."""
+"""Paths of the score: their mean and band, and the message for folders without paths."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from shift3d.sweep.results.final import write_final
 
 
 def path_rows(scores: dict[str, list[float | None]]) -> pd.DataFrame:
-    """Rows by task, a task a scene; the second step is kept, the third breaks a constraint."""
+    """Return rows by task, one task per scene; the second step is kept, the third breaks a constraint."""
     rows = [
         {"task_id": task, "place": f"street/{task}", "step": step, "proposal_score": score, "kept": step == 1}
         | {"valid": step != 2}
@@ -54,7 +54,7 @@ def test_the_best_step_of_a_case_is_named_and_marked() -> None:
 
 
 def test_folders_with_and_without_paths(tmp_path: Path) -> None:
-    """A folder without paths is read; one that has them is drawn from its final table."""
+    """A folder without paths is read; a folder with paths is drawn from its final table."""
     old, new = tmp_path / "old", tmp_path / "new"
     for folder in (old, new):
         valid_sweeps.write_sweep(folder)

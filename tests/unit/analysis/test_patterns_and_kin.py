@@ -1,4 +1,4 @@
-"""Aggregated changes and retrieved kin: means, intervals and what is left out, on tables by hand."""
+"""Aggregated changes and retrieved kin: means, intervals and exclusions, on handmade tables."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 def measured(changes: list[float], field: str = "height_cm") -> pd.DataFrame:
-    """A shape task a scene, whose only change is that of one measure."""
+    """Return one shape task per scene, with a change of a single measure."""
     rows = []
     for number, change in enumerate(changes):
         same = KNOWN | {"mode": "shape", "task_id": f"t{number}", "dataset": "street", "scene": f"s{number}"}
@@ -57,7 +57,7 @@ def test_a_change_that_all_share_is_a_point_and_clear() -> None:
 
 
 def test_a_figure_of_changes_shows_where_none_is() -> None:
-    """A car that moved 20 cm back and 10 cm to the right, without 0 on the axis, could as well have moved ahead."""
+    """A change of 20 cm back and 10 cm to the right could, without 0 on the axis, pass for a move ahead."""
     moved = poses({"x_m": -0.2, "y_m": -0.1}, 0.0)
     sweep = types.SimpleNamespace(patterns=measured([0.0]).iloc[:0], scores=moved)
     html = blocks_html(patterns(sweep))  # type: ignore[arg-type]
@@ -151,7 +151,7 @@ def test_kin_are_compared_with_the_mean_of_their_controls_and_the_excluded_are_l
 
 
 def test_the_curve_of_controls_is_of_single_vehicles() -> None:
-    """Of two with scores of 0.6 and 0.8 one is found above 0.65; their mean would be."""
+    """Two controls with scores of 0.6 and 0.8: one is found above 0.65; their mean would count as found."""
     rows = pd.DataFrame([
         retrieved(f"s{number}", role, score, replicate=replicate)
         for number in range(6)
@@ -165,7 +165,7 @@ def test_the_curve_of_controls_is_of_single_vehicles() -> None:
 
 
 def test_kin_are_so_many_vehicles_however_many_shapes_they_are_the_nearest_to() -> None:
-    """Of twenty shapes in as many scenes four vehicles are the kin: what they score less is known from four."""
+    """Twenty shapes in as many scenes have four vehicles as kin: certainty is that of four vehicles, not of twenty."""
     less = np.array([0.0, 0.1, 0.2, 0.3])
     rows = [
         retrieved(f"s{number}", "retrieved", 0.8 - less[number % 4]) | {"pool_scene": f"pool-{number % 4}"}

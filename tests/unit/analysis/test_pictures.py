@@ -1,4 +1,4 @@
-"""The README's pictures show what the tables say."""
+"""The README's pictures agree with the tables."""
 
 from __future__ import annotations
 

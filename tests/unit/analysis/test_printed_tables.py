@@ -1,4 +1,4 @@
-"""The printed tables say what the frames hold."""
+"""The printed tables agree with the frames."""
 
 from __future__ import annotations
 

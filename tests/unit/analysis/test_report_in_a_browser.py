@@ -1,4 +1,4 @@
-"""The report in headless Chromium: every figure is drawn, nothing complains, it turns, and it fits a phone."""
+"""The report in headless Chromium: figures are drawn without console errors, 3D views turn, and it fits a phone."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def two_cars(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A page of one hard case: two vehicles side by side, to be turned."""
+    """A page of one hard case: two vehicles side by side, in turnable views."""
     mesh = trimesh.creation.box((4.0, 2.0, 1.5))
     box = Rendered(
         mesh, np.zeros(6), np.zeros((0, 2)), np.zeros((0, 2)), 0, np.array([0, 0, 0, 4, 2, 1.5, 0]), None, 0.0
@@ -61,7 +61,7 @@ def two_cars(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def opened(browser: Browser, file: Path, width: int = 1280, scheme: str = "light") -> tuple[Page, list[str]]:
-    """A page with every figure drawn, and what it complained of."""
+    """Open a page with every figure drawn. Returns the page and its console errors."""
     page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)  # type: ignore[arg-type]
     words: list[str] = []
     page.on("console", lambda message: words.append(message.text) if message.type == "error" else None)
@@ -84,7 +84,7 @@ def test_every_figure_is_drawn_and_the_page_fits(browser: Browser, report: Path,
     assert words == []
     assert page.locator(".plot").count() == report.read_text().count('class="plot"') > 0
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
-    # Nothing that is read is cut off.
+    # No text is cut off.
     cut = page.evaluate("""() => [...document.querySelectorAll("h1, h2, h3, p, li, caption span, summary, button")]
         .filter(part => part.getBoundingClientRect().right > window.innerWidth + 1)
         .map(part => part.textContent.slice(0, 60))""")
@@ -97,7 +97,7 @@ def test_every_figure_is_drawn_and_the_page_fits(browser: Browser, report: Path,
 
 
 def eyes(page: Page) -> list[str]:
-    """Where the camera of each 3D view stands."""
+    """Return the camera position of each 3D view."""
     return page.evaluate("""() => [...document.querySelectorAll(".plot")]
         .map(view => JSON.stringify(view._fullLayout.scene._scene.getCamera().eye))""")  # type: ignore[no-any-return]
 

@@ -1,4 +1,4 @@
-"""The report: its numbers are those of the tables, its measures those of the mesh, and it needs nothing but itself."""
+"""The report: its numbers are those of the tables, its measures those of the mesh, and it is self-contained."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ VOID = {"meta", "link", "br", "img", "input", "hr"}
 
 
 class Page(HTMLParser):
-    """What a page is made of, and whether every tag is closed."""
+    """Elements of a page, and if every tag is closed."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -70,7 +70,7 @@ def test_the_page_is_one_file_that_asks_for_nothing(text: str) -> None:
             assert not re.match(r"(https?:)?//", attributes.get(name) or ""), (tag, attributes)
     assert "default-src 'none'" in (page.all("meta")[1]["content"] or "")
     assert text.count("plotly.js v") == 1
-    # Everything that is not the library: neither paths of a machine nor addresses.
+    # Everything but the library: neither paths of a machine nor addresses.
     own = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
     assert "http" not in own.replace("http-equiv", "") and "/tmp" not in own
 
@@ -101,7 +101,7 @@ def test_same_sweep_same_bytes(finished: Path, text: str) -> None:
 
 def test_what_is_not_there_is_said(text: str) -> None:
     assert "Not verified" in text and "Not measured by this sweep" in text
-    # The sweep by hand names weights that nobody has: the page is written, and says why no case is drawn.
+    # The handmade sweep names weights that do not exist: the page is written, and states why no case is drawn.
     assert "cannot be drawn" in text
 
 

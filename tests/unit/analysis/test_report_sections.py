@@ -46,7 +46,7 @@ def test_areas_are_the_mean_scores_with_the_papers_beside_them() -> None:
 
 
 def test_the_ratio_is_over_the_tasks_and_vehicles_that_have_both_scores() -> None:
-    """The van was never scored, and one of the suv's searches has no score: neither its baseline counts."""
+    """The van was never scored, and one of the suv's searches has no score: neither baseline counts."""
     scores = {("baseline", "suv"): [0.9, 0.1], ("adversarial", "suv"): [0.45], ("baseline", "van"): [0.9, 0.9]}
     part = variant(scores)
     assert "the mean AUC of 1 vehicle in 1 scene falls from 0.900 to 0.450" in headline(
@@ -148,7 +148,7 @@ def test_the_hardest_are_of_other_vehicles_and_scenes_first() -> None:
     assert [case.task_id for case in hardest(frame, 2)] == ["a", "d"]
     assert [case.task_id for case in hardest(frame, 9)] == ["a", "b", "c", "d"]
     assert hardest(frame[frame["method"] == "baseline"]) == []
-    # What is no car any more comes last, and only where there are not enough others.
+    # Shapes that are not a car come last, and only if there are not enough others.
     assert [case.task_id for case in hardest(frame, 2, {"a", "d"})] == ["b", "c"]
     assert [case.task_id for case in hardest(frame, 3, {"a", "d"})] == ["b", "c", "d"]
 

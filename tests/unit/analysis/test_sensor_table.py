@@ -18,7 +18,7 @@ LOSS = {"waymo_top": 0.0, "hdl32": 0.25, "hdl64": 0.0}
 
 
 def scores(beams: tuple[str, ...] = ("waymo_top", "hdl32"), streets: int = 6) -> pd.DataFrame:
-    """An object a street with the score 0.5 + 0.05 s, under the other beams 0.25 less; one street was not placed."""
+    """Return an object per street with score 0.5 + 0.05 s, 0.25 less under the other beams; one street has none."""
     rows = [
         {"dataset": f"street-waymo_top-beams_{name}", "scene": f"street-test-waymo_top-{street:06d}-beams_{name}"}
         | {"vehicle": "suv", "mode": mode, "lambda": weight, "alpha": 0.01, "detector": "p", "scored_by": "p"}
@@ -57,7 +57,7 @@ def test_the_table_says_the_difference_of_the_pairs_alone() -> None:
 
 def test_misses_are_counted_where_both_miss() -> None:
     rows = scores()
-    rows["score"] = rows["score"] - 0.53  # of the first sensor below 0.1: three streets; of the other: all of them
+    rows["score"] = rows["score"] - 0.53  # first sensor: three streets below 0.1; other sensor: all
     table = sensor_table(rows)
     assert table is not None
     (own, other) = [line for line in table.lines if str(line[0]).startswith("baseline, shape")]
@@ -103,7 +103,7 @@ def test_effects_have_lines_of_their_own() -> None:
 
 
 def test_a_street_in_rain_and_in_fog_is_one_draw() -> None:
-    """What one street says twice is known as well as what it says once."""
+    """One street gives two results, which count as one."""
     dry = scores(streets=12)
     odd = dry["scene"].str.extract(r"-(\d{6})-", expand=False).astype(int) % 2
     dry = dry.assign(score=dry["score"] - 0.1 * odd * dry["scene"].str.endswith("hdl32"))
@@ -127,7 +127,7 @@ def test_one_sensor_makes_no_table() -> None:
 
 
 def test_a_street_is_one_place_under_any_beams() -> None:
-    """Intervals redraw streets: under three sensors there are no more of them, and no more is known."""
+    """Intervals redraw streets: three sensors do not add streets, and so no certainty."""
     rows = scores(("waymo_top", "hdl32", "hdl64"), streets=12)
     assert places_of(rows).nunique() == 12
     alike = rows.assign(score=0.05 * places_of(rows).str[-6:].astype(int), natural=None)

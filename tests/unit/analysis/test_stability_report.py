@@ -1,4 +1,4 @@
-"""What is printed of a verification counts every solution, and hides none that is unstable."""
+"""The printed text of a verification counts every solution, and hides none that is unstable."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def test_a_vehicle_with_more_scores_weighs_no_more_in_the_mean() -> None:
 
 
 def test_vehicles_in_few_scenes_do_not_widen_the_interval_of_the_mean() -> None:
-    """The mean is that of the vehicles' means in every draw, too."""
+    """The mean of every draw is a mean of the vehicles' means, too."""
     alike = pd.DataFrame({"score": 0.5, "vehicle": ["suv"] * 10 + ["coupe"], "place": [*map(str, range(10)), "0"]})
     assert vehicle_mean_interval(alike) == Interval(0.5, 0.5, 0.5)
     rng = np.random.default_rng(0)
@@ -44,7 +44,7 @@ def test_vehicles_in_few_scenes_do_not_widen_the_interval_of_the_mean() -> None:
 
 
 def test_vehicles_that_have_one_score_everywhere_have_an_interval() -> None:
-    """Whichever scene is left out, the mean stays: what BCa divides by is 0."""
+    """The mean is the same without any scene, so that BCa would divide by 0."""
     saturated = {"suv": 0.0, "coupe": 1.0}
     scenes = {f"{scene:02d}": tuple(saturated) for scene in range(10)} | {"10": ("suv",)}
 
@@ -68,7 +68,7 @@ def test_an_interval_over_thousands_of_scenes_takes_a_hundred_megabytes() -> Non
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    # As many scores a vehicle: the mean of all, whose interval scipy makes in one piece.
+    # With equally many scores per vehicle the mean is that of all scores, whose interval scipy computes at once.
     scene_means = score.reshape(scenes, 5).mean(axis=1)
     rng = generator("bootstrap", len(rows), scenes)
     whole = bootstrap((scene_means,), np.mean, n_resamples=4_000, rng=rng).confidence_interval

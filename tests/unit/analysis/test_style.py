@@ -1,4 +1,4 @@
-"""The pages' style sheet: no rule is of what no page has."""
+"""The pages' style sheet has no rule for elements that no page has."""
 
 from __future__ import annotations
 

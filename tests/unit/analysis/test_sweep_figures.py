@@ -47,7 +47,7 @@ def test_an_auc_is_the_mean_score_and_a_ratio_that_of_two(sweep: Sweep) -> None:
 
 
 def test_a_ratio_is_that_of_the_tasks_that_have_both(sweep: Sweep) -> None:
-    """As for random poses, of which hard places may have none."""
+    """Random poses, for example, are missing at hard places."""
     rows = sweep.scores[sweep.scores["score"].notna()]
     lost, kept = rows["task_id"].unique()
     scores = rows.assign(score=rows["score"].where(rows["task_id"] != lost, 0.125))
@@ -61,7 +61,7 @@ def test_a_ratio_is_that_of_the_tasks_that_have_both(sweep: Sweep) -> None:
 
 
 def test_random_draws_are_as_natural_as_they_are_themselves(sweep: Sweep) -> None:
-    """The adversarial shape's verdict says nothing of the best of the draws."""
+    """The adversarial shape's verdict does not apply to the best of the draws."""
     found = sweep.scores[(sweep.scores["method"] == "adversarial") & sweep.scores["score"].notna()]
     draws = found.assign(method="random_budget", natural=False)
     own = sweep.scores.assign(natural=sweep.scores["natural"].mask(sweep.scores["method"] == "adversarial", True))
@@ -83,7 +83,7 @@ def test_how_much_was_run_is_said(sweep: Sweep) -> None:
 
 
 def test_the_fall_of_the_loss_is_that_of_the_last_quarter_below_the_first(sweep: Sweep) -> None:
-    """The unchanged vehicle is no step, and a search that ends early stays where it was."""
+    """The unchanged vehicle is no step, and a search that ends early keeps its last loss."""
     one = sweep.scored.drop_duplicates("task_id")[["task_id", "dataset", "scene", "vehicle"]]
     losses = [50.0, 9.0, 7.0, 5.0, 4.0, 4.0, 4.0, 3.0, 1.0]
     steps = [one.assign(step=step, loss=loss) for step, loss in enumerate(losses)]
@@ -147,7 +147,7 @@ def test_an_edit_is_judged_against_the_other_end_of_its_range_at_the_same_place(
 
 
 def test_a_rule_is_written_with_what_it_takes_in_each_group(sweep: Sweep) -> None:
-    """Vehicles over 2 m score 0.4 less, in every scene and of every vehicle."""
+    """Vehicles over 2 m score 0.4 less, in every scene and for every vehicle."""
     row = sweep.scores[sweep.scores["score"].notna()].iloc[0].to_dict() | {"method": "baseline", "mode": "shape"}
     row |= {"detector": row["scored_by"]}
     tall = [(f"v{v}", f"s{s}", r, r % 2) for v in range(4) for s in range(8) for r in range(4)]

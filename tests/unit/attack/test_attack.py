@@ -98,7 +98,7 @@ def test_a_step_of_length_zero_changes_nothing(problem: AttackProblem) -> None:
     result = attack_shape(problem, 1.0, alpha=0.0, steps=2)
     assert torch.equal(result.latent_code, CODE)
     losses = [record.loss for record in result.trace]
-    # A hit that is followed is told to 3 micrometres, as one that is searched is: not the same to the last digit.
+    # A warm hit and a cold hit are both accurate to 3 micrometres, so their last digits differ.
     assert losses[0] == pytest.approx(losses[2], rel=1e-5)
 
 
@@ -108,7 +108,7 @@ def test_the_shape_attack_lowers_the_loss(problem: AttackProblem) -> None:
     assert result.best.loss < 0.97 * result.trace[0].loss
     assert result.best.valid
     assert result.best.loss == min(r.loss for r in result.trace[1:] if r.valid)
-    # The record is the loss of what is returned.
+    # The record is the loss of the returned object.
     again = measure(problem, result.latent_code, result.theta)
     assert float(again.adversarial) == pytest.approx(result.best.adversarial_loss, rel=1e-3)
     assert set(result.milliseconds()) == {"placement", "render", "detector", "constraints", "backward"}
@@ -121,7 +121,7 @@ def test_lambda_holds_the_shape_back(problem: AttackProblem) -> None:
 
 
 def test_ascending_would_raise_the_loss(problem: AttackProblem) -> None:
-    # The same loop with the opposite sign: if the gradient's sign were wrong, this would be the one to win.
+    # The same loop with the opposite sign: if the gradient's sign were wrong, this loop would win.
     down = attack_shape(problem, 0.0, alpha=0.02, steps=3)
     up = attack_shape(problem, 0.0, alpha=-0.02, steps=3)
     assert down.trace[3].loss < down.trace[0].loss < up.trace[3].loss

@@ -21,7 +21,7 @@ BOX = np.array([10.0, 2.0, 0.8, 4.0, 2.0, 1.6, 0.3])
 
 
 def proposals(logits: list[float], boxes: np.ndarray | None = None) -> Proposals:
-    """By default: y* itself, a far box, and y* shifted by its half length along its heading."""
+    """Return proposals, by default y* itself, a far box, and y* shifted by half its length along its heading."""
     if boxes is None:
         shifted = BOX.copy()
         shifted[:2] += 2.0 * np.array([math.cos(0.3), math.sin(0.3)])

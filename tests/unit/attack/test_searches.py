@@ -99,7 +99,7 @@ def test_what_is_kept_is_valid_and_the_lowest(results: dict[str, AttackResult], 
 def test_no_search_takes_more_steps_than_it_was_given(
     results: dict[str, AttackResult], name: str, evaluations: int
 ) -> None:
-    # Of an expectation over two places a step is two evaluations, and 8 were given.
+    # A step on an expectation over two places takes two of the 8 given evaluations.
     assert len(results[name].trace) == 1 + evaluations
 
 
@@ -107,7 +107,7 @@ def test_no_search_takes_more_steps_than_it_was_given(
 def test_evaluations_that_are_too_few_for_a_step_take_none(
     problem: AttackProblem, evaluations: int, starts: int, steps: int
 ) -> None:
-    """Of two placements a step is two; every start takes one."""
+    """A step over two placements takes two evaluations; every start takes one."""
     search, rng = shape_search(problem, 0.0, small_space(problem)), np.random.default_rng(0)
     found = descend_expectation(problem, search, evaluations, 0.02, rng, placements=2, starts=starts)
     assert len(found.trace) == 1 + steps
@@ -135,7 +135,7 @@ def test_the_descent_begins_at_the_best_of_the_baseline_and_its_draws(problem: A
     assert found.trace[0].latent_distance == 0.0
     assert [step.latent_distance for step in found.trace[1:5]] == pytest.approx([0.2] * 4, rel=1e-6)
     best = min((step for step in found.trace[:5] if step.valid), key=lambda step: step.loss)
-    # Another rendering of it, from other hits: the same to their tolerance.
+    # Another rendering of the same shape, from other hits: equal to their tolerance.
     assert found.trace[5].loss == pytest.approx(best.loss, rel=1e-3)
 
 
@@ -165,7 +165,7 @@ def test_a_universal_search_lowers_the_mean(problem: AttackProblem) -> None:
 
 
 def near_search(problem: AttackProblem, longest: float, distances: list[float] | None = None) -> Search:
-    """Over every code; natural are those no farther than `longest` from the baseline's."""
+    """Return a search over every code; codes no farther than `longest` from the baseline's are natural."""
 
     def natural(code: Tensor) -> bool:
         distance = float((code - problem.code0).norm())
@@ -201,7 +201,7 @@ def test_a_step_beyond_the_budget_goes_half_way_back_to_the_best(problem: Attack
 
 
 def two_kinds(problem: AttackProblem) -> Family:
-    """The problem's own vehicle, and one whose code is another."""
+    """Return a family of the problem's own vehicle and one with another code."""
     other = replace(problem, code0=problem.code0 + 0.05, vehicle=replace(FRAME))
     kinds = [(problem, shape_search(problem, 0.0)), (other, shape_search(other, 0.0))]
     return Family((1, 0), lambda kind: kinds[kind])
@@ -211,7 +211,7 @@ def test_a_search_over_kinds_goes_on_with_the_kind_of_its_best_start(problem: At
     family, rng = two_kinds(problem), np.random.default_rng(3)
     found = descend_expectation(problem, family.of(0)[1], 9, 0.02, rng, placements=1, starts=5, family=family)
     drawn = found.trace[1:5]
-    # The other kind comes first; draws are 0.2 from their own kind's code, distances from the start's.
+    # The other kind comes first; draws are 0.2 from their own kind's code, distances are from the start's code.
     own = [step.latent_distance == pytest.approx(0.2, rel=1e-6) for step in drawn]
     assert own[:2] == [False, True] and sorted(own[2:]) == [False, True], "each of the two again, the better one first"
     assert own[2] == (drawn[1].loss < drawn[0].loss)
@@ -277,7 +277,7 @@ def test_evolution_ranks_what_is_not_valid_last(problem: AttackProblem) -> None:
 
 
 def test_the_unchanged_vehicle_is_no_solution_however_often_it_is_tried(problem: AttackProblem) -> None:
-    heavy = shape_search(problem, 1e6)  # whatever moves costs more than it gains: the descent begins at the vehicle
+    heavy = shape_search(problem, 1e6)  # every move costs more than it gains: the descent begins at the vehicle
     found = descend_expectation(problem, heavy, 4, 0.02, np.random.default_rng(0), placements=1, starts=2)
     again = [record.step for record in found.trace if record.is_start]
     assert again == [0, 2] and found.status == "ok"

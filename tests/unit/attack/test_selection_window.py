@@ -1,4 +1,4 @@
-"""Which step of a search is kept: the lowest loss, alone or with its neighbours."""
+"""The step that a search keeps: the lowest loss, alone or with its neighbours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a shape search may go: subspaces of codes, and what keeps a search in them."""
+"""Space of a shape search: subspaces of codes, and the limits that keep a search in them."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ SPREAD = np.array([3.0, 1.0, 0.5])
 
 @pytest.fixture(scope="module")
 def codes() -> np.ndarray:
-    """4,000 codes in a three-dimensional plane through (1, ..., 1), with known standard deviations."""
+    """4,000 codes in a 3D plane through (1, ..., 1), with known standard deviations."""
     rng = np.random.default_rng(1)
     return (1.0 + (rng.standard_normal((4000, 3)) * SPREAD) @ AXES).astype(np.float32)
 
@@ -45,7 +45,7 @@ def test_coordinates_of_pca_are_standard_deviations_from_the_mean(codes: np.ndar
 
 
 def test_pca_starts_at_the_baseline_whatever_its_code_has_beside_the_plane(codes: np.ndarray) -> None:
-    beside = np.linalg.svd(AXES)[2][-1]  # across all three axes
+    beside = np.linalg.svd(AXES)[2][-1]  # orthogonal to all three axes
     code0 = torch.from_numpy(codes[7] + 5.0 * beside.astype(np.float32))
     space = pca_space(code0, codes, 3, "codes")
     assert torch.allclose(space.code(space.start), code0)

@@ -125,12 +125,12 @@ def test_beams_elsewhere_keep_clear_of_the_object() -> None:
     grown.validate()
     assert len(grown.points) == 8 * len(scene.points)
     assert np.array_equal(grown.points[: len(scene.points)], scene.points)
-    # Along every new beam, sensor to return: no point of it near the object's centre.
+    # No point of a new beam, from sensor to return, is near the object's centre.
     new = grown.points[len(scene.points) :].astype(np.float64)
     share = np.linspace(0.0, 1.0, 400)[:, None, None]
     apart = np.linalg.norm(share * new[::7] - theta[:3].numpy(), axis=2)
     assert apart.min() > 9.0 - 1e-3
-    # The others are all around it, at the ranges of the scene's own.
+    # The other points are all around it, at the scene's own ranges.
     assert np.linalg.norm(new, axis=1).max() == pytest.approx(np.linalg.norm(scene.points, axis=1).max(), rel=1e-5)
     azimuth = np.arctan2(new[:, 1], new[:, 0]) - math.atan2(6.0, 14.0)
     assert (np.abs(np.sin(azimuth)) < 0.5).any() and (np.cos(azimuth) < -0.9).any()
@@ -143,7 +143,7 @@ def test_a_densified_scene_has_so_many_points_on_the_same_surfaces() -> None:
     assert len(dense.points) == 5000
     assert np.array_equal(dense.points[: len(scene.points)], scene.points)
     ground = scene.points[:, 2].min()
-    assert dense.points[:, 2].min() == ground  # turned about the vertical: heights stay
+    assert dense.points[:, 2].min() == ground  # turned about the vertical: heights are unchanged
 
 
 def test_a_selected_part_runs_and_writes_its_records_alone(tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_a_selected_part_runs_and_writes_its_records_alone(tmp_path: Path) -> No
         "gemm_peak_gflops_float32",
         "gemm_peak_gflops_float64",
     }
-    # Half the bytes, about twice the operations; and no core of today does 10 TFLOP/s.
+    # Half the bytes, about twice the operations; and no present-day core does 10 TFLOP/s.
     assert 1.0 < records["gemm_peak_gflops_float64"]["value"] < records["gemm_peak_gflops_float32"]["value"] < 1e4
     assert all("quick run" in record["of"] for record in records.values())
     assert "gemm_peak_gflops_float32" in done.stdout

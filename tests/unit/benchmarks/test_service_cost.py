@@ -1,4 +1,4 @@
-"""The cost model by hand: what one driver can feed."""
+"""The cost model by hand: the load that one driver can feed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def test_a_thousand_workers_by_hand() -> None:
     assert found.hours == pytest.approx(1e7 * 2 / 1000 / 3600)
     assert found.busy == pytest.approx({"rows of tasks": 0.1, "commits": 0.02, "calls to workers": 0.1})
     assert found.weights_s == pytest.approx(100)
-    # At so short a task, rows, commits and calls take the whole of the driver's time.
+    # With tasks this short, rows, commits and calls take the driver's whole time.
     assert 1000 / found.shortest_task_s * 200e-6 + 0.02 + 0.1 == pytest.approx(1)
     assert "first bottleneck" in forecast_lines(found)
 

@@ -1,4 +1,4 @@
-"""The command line: quick, teaching, and one line for what it cannot use."""
+"""The command line: quick, instructive, and one line for unusable input."""
 
 from __future__ import annotations
 
@@ -103,14 +103,14 @@ def test_an_option_that_a_command_lacks_is_named_beside_those_it_has(
 )
 def test_an_interrupted_command_says_whether_it_resumes(command: str, says: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "spec.yaml")
-    # A suite that a shell runs in the background ignores SIGINT, and so would its children.
+    # A suite that a shell runs in the background ignores SIGINT, and its children would inherit that.
     running = subprocess.Popen(
         [sys.executable, "-m", "shift3d", command, str(tmp_path)],
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     )
-    with (tmp_path / "spec.yaml").open("w"):  # opens once the command reads it
+    with (tmp_path / "spec.yaml").open("w"):  # opens once the command reads the file
         running.send_signal(signal.SIGINT)
         assert running.wait(timeout=60) == 130
     assert running.stderr is not None and running.stderr.read() == f"shift3d {command}: {says}\n"
@@ -177,9 +177,9 @@ def test_key_values() -> None:
 
 
 def completed(line: str, folder: Path) -> set[str]:
-    """What a shell that asks as argcomplete's hook does is offered for the end of a line."""
+    """Return the completions for the end of a line, as a shell with argcomplete's hook requests them."""
     completing = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
-    # Without '=' and ':' among the breaks of words, as in zsh: whole words come back.
+    # Without '=' and ':' among the word breaks, as in zsh: completions are whole words.
     completing |= {"_ARGCOMPLETE_COMP_WORDBREAKS": " \t\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(folder / "answer")}
     subprocess.run([sys.executable, "-m", "shift3d"], env={**os.environ, **completing}, cwd=folder, check=True)
     return {word.strip() for word in (folder / "answer").read_text().splitlines() if not word.startswith("-")}

@@ -1,4 +1,4 @@
-"""Words that say what a detector is made of: those that do not belong are refused in one line."""
+"""Words for the parts of a detector: foreign words are refused in one line."""
 
 from __future__ import annotations
 

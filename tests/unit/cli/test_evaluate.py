@@ -1,4 +1,4 @@
-"""``shift3d evaluate``: what it refuses, what it completes, and one frame from end to end."""
+"""``shift3d evaluate``: its refusals, its completions, and one frame from end to end."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def test_what_cannot_be_used_is_one_line(
 def test_ones_own_detector_and_its_onnx_file_are_evaluated_alike(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One function as a Python file and as a graph: the same detections, boxes on the ground of the scene."""
+    """One function as a Python file and as a graph gives the same detections, with boxes on the scene's ground."""
     (tmp_path / "mine.py").write_text(OWN_SOURCE)
-    (tmp_path / "mine.json").write_text("[]")  # a user's file, no provenance of ours
+    (tmp_path / "mine.json").write_text("[]")  # a user's file, not the project's provenance
     files = {"own": f"module={tmp_path / 'mine.py'}", "onnx": f"file={write_model(tmp_path / 'mine.onnx')}"}
     for name, file in files.items():
         words = ["evaluate", f"detector={name}", file, "sensor=hdl64", "count=2", f"out={tmp_path / name}"]
@@ -100,7 +100,7 @@ def test_one_real_frame_and_the_same_command_again(
     assert set(metrics["protocol"]) == {"waymo", "waymo_strict", "kitti", "shift3d"}
     assert metrics["value"].dropna().between(0.0, 1.0).all() and metrics["value"].notna().any()
     before = {path.name: path.read_bytes() for path in out.glob("*.*")}
-    assert main(words) == 0  # from what is stored: the times are those of the first run
+    assert main(words) == 0  # from stored results: the times are those of the first run
     assert {path.name: path.read_bytes() for path in out.glob("*.*")} == before
     assert json.loads(before["spec.json"])["detector"] == "pointpillars"
     assert main([*words, "score_threshold=0.2"]) == 2

@@ -1,4 +1,4 @@
-"""``shift3d finetune``: its words, the commands that it is made of, and scenes that it refuses."""
+"""``shift3d finetune``: its words, the commands that it runs, and scenes that it refuses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LOCAL = ("runner=local", "tracking=none", "scenes.count=1", "scenes.sensor=hdl64
 def test_a_step_that_was_asked_to_stop_is_the_last_though_it_came_to_its_end(
     stops: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As a sweep, which finishes the tasks in flight: where they are its last, it is done."""
+    """A stopped sweep, too, finishes the tasks in flight, and is done if they are the last ones."""
 
     def run(arguments: argparse.Namespace) -> int:
         with handle_stop_signals(lambda *_: None):
@@ -127,7 +127,7 @@ def test_what_the_training_would_refuse_is_refused_before_anything_is_attacked(
 def test_the_weights_that_are_attacked_are_those_that_are_tuned(
     setting: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One setting of weights by name serves sweeps of several detectors, and means the same to a sweep of one."""
+    """A setting of weights by detector name serves sweeps of several detectors, and means the same for one."""
     weights = Path(shutil.copy(WEIGHTS_FOLDER / "pointpillars.safetensors", tmp_path))
     words = ["finetune", "--steps", *LOCAL, f"{setting}={weights}", f"out={tmp_path / 'out'}"]
     assert main(words) == 0

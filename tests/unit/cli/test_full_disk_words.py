@@ -1,4 +1,4 @@
-"""No room for a file: a command that goes on where it was stopped says so, another one does not."""
+"""A full disk: a command that resumes says so, another one does not."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ KITTI = ["scenes.count=null", "vehicle=suv", "mode=shape", "attack.lambda=1", "r
 
 @pytest.fixture
 def frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The data set's word; afterwards no file of this process may pass 1 kB, so that the write itself fails."""
+    """Words of the data set. Afterwards no file of this process may exceed 1 kB, so that the write itself fails."""
     monkeypatch.chdir(tmp_path)
-    # Python 3.11 would leave a cut .pyc behind of what is imported meanwhile, and fail at it from then on.
+    # Python 3.11 would leave truncated .pyc files of modules imported meanwhile, and fail on them later.
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     valid_frames.write_frame(tmp_path / "kitti")
     before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

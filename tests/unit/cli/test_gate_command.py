@@ -1,4 +1,4 @@
-"""What a gate cannot use is one line on stderr and exit code 2; worse weights are 6."""
+"""Input that a gate cannot use gives one line on stderr and exit code 2; worse weights give 6."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_exit_codes(folder: Path) -> None:
 
 
 def test_an_onnx_file(folder: Path) -> None:
-    """A release of it is compared with the next; where the suite's objects lie, that one scores less."""
+    """The file's next release, which scores less where the suite's objects are, is compared with the file."""
     boxes = np.array([[10.0, 10.0, 0.8, 4.5, 1.9, 1.6, 0.0], [20.0, 10.0, 0.8, 4.5, 1.9, 1.6, 0.0]], np.float32)
     files = [write_model(folder / f"{bias:g}.onnx", bias, boxes=boxes) for bias in (2.0, -2.0)]
     words = ["gate", "suite=suite", "detector=onnx", "name=deployed", "mlflow=none"]
@@ -66,7 +66,7 @@ def test_an_onnx_file(folder: Path) -> None:
 
 
 def test_another_module_is_no_release_of_the_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its name is its file's; one that has no releases is refused where others have, until it is named."""
+    """Its name is its file's. A name without releases is refused if others have releases, unless given explicitly."""
     module, _ = write_detector(folder)
     other = shutil.copy(module, folder / "other.py")
     assert main(["gate", "suite=suite", "detector=own", f"module={module}", "accept=anyway", "mlflow=none"]) == 6

@@ -1,4 +1,4 @@
-"""``shift3d gc`` and ``shift3d compact``: they say what they do, and a dry run does nothing."""
+"""``shift3d gc`` and ``shift3d compact`` report their actions, and a dry run changes nothing."""
 
 from __future__ import annotations
 

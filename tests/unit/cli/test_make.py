@@ -1,4 +1,4 @@
-"""``make sweep``: what make would run, without running it."""
+"""``make sweep``: the command that make would run, without running it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make")
 
 
 def command(*words: str) -> list[str]:
-    """The words of the last command that make would run."""
-    # A make that runs the tests tells its children to print where they work, and gives them its own ARGS.
+    """Return the words of the last command that make would run."""
+    # A make that runs the tests tells its children to print their folder, and passes its own ARGS to them.
     given = ("ARGS", "SWEEP", "OUT")
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", *given))}
     done = subprocess.run(["make", "-n", *words], cwd=ROOT, env=environment, capture_output=True, text=True, check=True)

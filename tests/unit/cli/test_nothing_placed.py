@@ -1,4 +1,4 @@
-"""A sweep in which no vehicle found a place says so first, and ends with a code of its own."""
+"""A sweep in which no vehicle found a place reports that first, and ends with its own exit code."""
 
 from __future__ import annotations
 

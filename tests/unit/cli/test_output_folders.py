@@ -1,4 +1,4 @@
-"""Folders that a command is to write to: one that it cannot is one line, before the work begins."""
+"""Output folders of a command: an unusable one gives one line, before the work begins."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_folder_of_another_sweep_is_looked_at_first(
     command: list[str], key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if key == "timings" and command == ["sweep"]:
-        return  # a word of plans
+        return  # this word belongs to plans
     assert main([*command, "smoke", *ONE, f"{key}={tmp_path}"]) == 2
     printed = capsys.readouterr()
     assert "is not the output folder of a sweep" in printed.err and not printed.out
@@ -132,7 +132,7 @@ def test_the_effects_of_an_unfinished_sweep_wait_for_it(tmp_path: Path, capsys: 
 
 
 def test_a_sweep_s_name_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A folder that is called like a sweep changes nothing; its path stands for the sweep that was begun in it."""
+    """A folder with the name of a sweep changes nothing; the folder's path names the sweep that was begun in it."""
     begun = make_plan(compose_sweep("smoke", [*ONE, "tracking=none", "runner=local"]), read_catalogue)[0]
     open_folder(tmp_path / "stability", begun)
     named = read_words(["stability", "vehicle=suv", "out=other"])
@@ -144,7 +144,7 @@ def test_a_sweep_s_name_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_a_word_with_a_slash_is_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A list of sweeps would not help whoever mistyped a folder; it does whoever gave a sweep's file."""
+    """A list of sweeps does not help a user who mistyped a folder; it helps one who gave a sweep's file."""
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "default.yaml").write_text("seed: 0")
     for command in RUNS:

@@ -1,4 +1,4 @@
-"""``shift3d plan``: the summary first, the list where it is asked for, and what the sweep itself would refuse."""
+"""``shift3d plan``: the summary first, the list on request, and the refusals of the sweep itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a retrieval cannot be of is said before a pool is made."""
+"""A retrieval that is impossible is refused before a pool is made."""
 
 from __future__ import annotations
 

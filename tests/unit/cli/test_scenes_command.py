@@ -1,4 +1,4 @@
-"""``shift3d scenes``: names, what was found, a picture, and the words of a sweep."""
+"""``shift3d scenes``: names, findings, a picture, and the words of a sweep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames that cannot be read: one refuses a sweep, or is left out and listed where that is asked for."""
+"""Unreadable frames: one refuses a sweep, or is left out and listed on request."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BAD = {
 
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """One frame that is as it should be, and four that are not."""
+    """One good frame and four bad ones."""
     monkeypatch.chdir(tmp_path)
     valid_frames.write_frame(tmp_path)
     folder = tmp_path / "training"

@@ -1,4 +1,4 @@
-"""A sweep of a detector that fails in every task, or sees no vehicle, says so."""
+"""A sweep reports a detector that fails in every task, or detects no vehicle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sets of cells travel through a convolution as its non-zero entries do."""
+"""Sets of cells pass through a convolution like its non-zero entries."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Foreign checkpoints, strictly: what is missing, surplus, misshapen or no data is refused by name."""
+"""Foreign checkpoints, strictly: missing, surplus, misshapen entries and objects are refused by name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ State = dict[str, torch.Tensor]
 
 
 def load(case: Case, folder: Path, change: Callable[[State], Any] = lambda state: None, wrap: Any = None) -> Any:
-    """Load a case's checkpoint after its state was changed in place. wrap: state to what is saved."""
+    """Load a case's checkpoint after an in-place change of its state. wrap: state to the saved object."""
     config, weights = case.saved(folder)
     state = torch.load(weights, weights_only=True)[case.key]
     change(state)
@@ -36,7 +36,7 @@ def refused(case: Case, folder: Path, change: Callable[[State], Any], wrap: Any 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_every_tensor_counts(case: Case, tmp_path: Path) -> None:
-    """Without any one of them, or with it in another shape, the checkpoint is refused."""
+    """A checkpoint without any one of the tensors, or with it in another shape, is refused."""
     config, weights = case.saved(tmp_path)
     layout = foreign_layout(case.name.split("-")[0], config, case.choices)
     whole = torch.load(weights, weights_only=True)[case.key]
@@ -115,7 +115,7 @@ def test_what_trainers_put_beside_the_tensors_is_left_alone(tmp_path: Path) -> N
 
 
 class Trap:
-    """Something that is no data."""
+    """An object that is not data."""
 
     def __reduce__(self) -> Any:
         return print, ("run",)

@@ -1,4 +1,4 @@
-"""Configs of other codebases are read as data; what is not covered is refused with file and name."""
+"""Configs of other codebases are read as data; unsupported entries are refused with file and name."""
 
 from __future__ import annotations
 

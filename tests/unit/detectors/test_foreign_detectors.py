@@ -1,4 +1,4 @@
-"""Foreign checkpoints give what their codebases compute, and fulfil the detector's contract."""
+"""Foreign checkpoints give the results of their codebases, and fulfil the detector's contract."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def detector(case: Case, tmp_path_factory: pytest.TempPathFactory) -> ForeignDet
 
 
 def source_in_float32_weights(case: Case):  # type: ignore[no-untyped-def]
-    """The source with the weights that its checkpoint holds, in float64 arithmetic."""
+    """Return the source with the checkpoint's weights, in float64 arithmetic."""
     source = case.source()
     source.model.float().double()
     return source
@@ -116,7 +116,7 @@ def test_lower_precisions_are_near(name: str, tmp_path: Path) -> None:
 
 
 def test_a_full_pillar_keeps_every_point_and_no_zeros(tmp_path: Path) -> None:
-    """Beyond the source's slots: the pillar's features are those of all its points."""
+    """The pillar has more points than the source's slots: its features are those of all its points."""
     case = CASES["openpcdet-pointpillar"]
     detector = case.detector(tmp_path)
     crowd = torch.rand(40, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 0.39

@@ -1,4 +1,4 @@
-"""The shipped detectors in foreign layouts see what they see: same logits, boxes and gradient on a street."""
+"""The shipped detectors in foreign layouts give the same logits, boxes and gradient on a street."""
 
 from __future__ import annotations
 

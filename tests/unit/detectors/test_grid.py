@@ -76,7 +76,7 @@ def test_no_points() -> None:
 
 
 def test_clouds_side_by_side_have_the_pillars_of_each() -> None:
-    """One of them without a point that counts, and windows that share cells: nothing of one goes to another."""
+    """One cloud has no valid point, and windows share cells: no point passes from one cloud to another."""
     clouds = [_points(400, seed) for seed in (1, 2)]
     clouds.insert(1, torch.full((3, 3), 1e4))
     parts = [assign_pillars(points, WAYMO_GRID, WINDOW) for points in clouds]

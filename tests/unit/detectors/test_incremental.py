@@ -1,4 +1,4 @@
-"""Incremental inference gives what the whole frame gives, and computes no more than it must."""
+"""Incremental inference gives the result of the whole frame, and computes no more than necessary."""
 
 import dataclasses
 import functools
@@ -35,7 +35,7 @@ def single(request: pytest.FixtureRequest) -> TrainedDetector:
 
 
 def _scene() -> torch.Tensor:
-    """A random scene with a dense cluster, of the size of a car, around CENTRE."""
+    """Return a random scene with a dense cluster, the size of a car, around CENTRE."""
     points = random_scene()
     car = torch.rand(600, 3, generator=torch.Generator().manual_seed(7)) * torch.tensor([4.4, 1.8, 1.5])
     return torch.cat((points, car + torch.tensor([CENTRE[0] - 2.2, CENTRE[1] - 0.9, 0.1])))
@@ -50,7 +50,7 @@ def _moved(points: torch.Tensor, rows: torch.Tensor, offset: tuple[float, float,
 
 
 def _loss(found: Proposals) -> torch.Tensor:
-    """Of some logits only, each with a weight of its own."""
+    """Return a loss of some logits only, each with its own weight."""
     generator = torch.Generator().manual_seed(1)
     weight = torch.rand(found.logits.shape, generator=generator)
     return (weight * (weight > 0.6) * torch.nn.functional.softplus(found.logits)).sum()
@@ -67,7 +67,7 @@ def _seen(ask: Callable[[torch.Tensor], Proposals], points: torch.Tensor) -> tup
 def _plain(
     detector: TrainedDetector, points: bytes, dtype: torch.dtype, window: BevWindow
 ) -> tuple[Proposals, torch.Tensor]:
-    """What the whole window gives, once for the same points: many tests begin with the same frame, and end there."""
+    """Return the result of the whole window, cached by points: many tests begin and end with the same frame."""
     cloud = torch.frombuffer(bytearray(points), dtype=dtype).reshape(-1, 3)
     return _seen(lambda cloud: detector.proposals(cloud, window), cloud)
 
@@ -80,7 +80,7 @@ def _assert_same(
     requires_grad: torch.Tensor | None = None,
     tolerance: float = 1e-9,
 ) -> None:
-    """Logits, boxes, indices and gradients, each against its largest value."""
+    """Check logits, boxes, indices and gradients, each against its largest value."""
     found, gradient = _seen(lambda cloud: incremental.proposals(cloud, window, requires_grad), points)
     plain, expected = _plain(detector, points.numpy().tobytes(), points.dtype, window)
     assert torch.equal(found.anchor_index, plain.anchor_index) and found.logits.dtype == plain.logits.dtype
@@ -144,7 +144,7 @@ def test_in_bfloat16(name: str) -> None:
 
 @pytest.mark.parametrize("centre", [(-73.0, 74.0), (70.0, 20.0), (0.0, -74.5)])
 def test_at_the_border_of_the_grid(exact: TrainedDetector, centre: tuple[float, float]) -> None:
-    """What lies beyond is zero to every layer; points move along the border, over it, and back."""
+    """Every layer reads zeros beyond the border; points move along the border, over it, and back."""
     points = random_scene().double()
     window = exact.window_for(centre, 5.0)
     incremental = exact.incremental(window)
@@ -171,14 +171,14 @@ def test_the_core_moves_and_finds_what_changed_where_it_did_not_look(exact: Trai
     far_side = _near(points, (CENTRE[0] - 18.0, CENTRE[1] + 18.0), 5.0)
     assert int(far_side.sum()) > 30
     _assert_same(exact, incremental, points, there)
-    points = _moved(points, far_side, (0.5, 0.0, 0.3))  # partly in sight from here: the rest must be kept in mind
+    points = _moved(points, far_side, (0.5, 0.0, 0.3))  # partly visible from here: the rest must be remembered
     for window in (here, there, here, exact.window_for(CENTRE, 9.0)):
         _assert_same(exact, incremental, points, window)
 
 
 @pytest.mark.parametrize("cells_away", range(30, 41, 2))
 def test_a_change_at_the_rim_of_what_is_seen_is_kept_in_mind(exact: TrainedDetector, cells_away: int) -> None:
-    """Seen by one core in a few layers alone, by the next one in all, with nothing new around it."""
+    """One core sees the change in a few layers alone, the next core in all, without a new change around it."""
     points, cell = _scene().double(), exact.grid.cell_m
     incremental = exact.incremental(exact.window_for(CENTRE, 8.0))
     here, there = exact.window_for(CENTRE, 3.0), exact.window_for((CENTRE[0] - 4.5, CENTRE[1]), 3.0)
@@ -211,7 +211,7 @@ def test_points_that_require_it_get_their_gradient_whether_they_moved_or_not(exa
 
 
 def test_forks_answer_as_if_they_were_alone(single: TrainedDetector) -> None:
-    """To the bit, whatever other forks of the same frame were asked."""
+    """Answers are equal bit for bit, whatever other forks of the same frame were evaluated."""
     points, window = _scene(), single.window_for(CENTRE, 5.0)
     moved, gone = EDITS["the car"](points), EDITS["removed far away"](points)
     incremental = single.incremental(window)
@@ -278,7 +278,7 @@ def _operations(call: Callable[[], object]) -> int:
 
 @pytest.mark.parametrize("name", ["pointpillars", "centerpoint", "sst"])
 def test_nothing_is_computed_for_what_did_not_change_or_is_not_needed(name: str) -> None:
-    """But for the few convolutions behind SST's transformer, which see the core and little more."""
+    """The exceptions are the few convolutions behind SST's transformer, which see the core and a little more."""
     single = TrainedDetector(random_net(name))
     points, window = _scene(), single.window_for(CENTRE, 5.0)
     incremental = single.incremental(single.window_for(CENTRE, 9.0))
@@ -304,9 +304,9 @@ def _behind_the_transformer(net: SstNet, window: BevWindow) -> None:
 
 @pytest.mark.parametrize("name, share", [("pointpillars", 0.25), ("sst", 0.6)])
 def test_the_shipped_network_sees_a_car_move_across_a_street(name: str, share: float) -> None:
-    """An attack's step: the car's points move, the loss is of the logits around it, the gradient of its points.
+    """A step of an attack moves the car's points; the loss is of the logits around it, the gradient of its points.
 
-    share: of the operations of the plain window. SST's layers carry what moved farther than PointPillars' first block.
+    share: of the operations of the plain window. SST's layers spread a change farther than PointPillars' first block.
     """
     detector = load_detector(name)
     scene = StreetScenes("waymo_top", count=1, split="test").load("street-test-waymo_top-000000")

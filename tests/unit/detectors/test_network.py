@@ -1,4 +1,4 @@
-"""What both networks must hold whatever their weights: exact windows, determinism, true gradients."""
+"""Properties of both networks for any weights: exact windows, determinism, true gradients."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def full_scene(slim: TrainedDetector) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def test_margin_is_the_receptive_field() -> None:
-    """How far the gradient of an output cell reaches in the input, through the real layers."""
+    """The test measures how far the gradient of an output cell reaches in the input, through the real layers."""
     torch.manual_seed(0)
     backbone = Backbone(dataclasses.replace(WAYMO_BACKBONE, in_channels=2, channels=(2, 2, 2), up_channels=2)).eval()
     for module in backbone.modules():
@@ -102,7 +102,7 @@ def test_bitwise_equal_over_runs_and_permutations(slim: TrainedDetector) -> None
         torch.nn.functional.softplus(found.logits).sum().backward()
         assert leaf.grad is not None
         gradient = leaf.grad if back is None else leaf.grad[back]
-        # Of two points in one place, either may be the maximum by a rounding: what they get together is fixed.
+        # Of two points in one place either may be the maximum after rounding: only the sum of their gradients is fixed.
         together = torch.cat((gradient[:500] + gradient[20000:], gradient[500:20000]))
         results.append((found.logits, found.boxes, together))
     for other in results[1:]:
@@ -134,7 +134,7 @@ def test_gradient_equals_central_differences_in_float64(name: str, returns: int)
     leaf = cloud.clone().requires_grad_()
     loss(leaf).backward()
     assert leaf.grad is not None
-    # A step so small that no point leaves its pillar and no maximum or ReLU changes hands along it.
+    # A step so small that no point leaves its pillar and no maximum or ReLU switches along it.
     step = 1e-7
     for trial in range(5):
         direction = torch.randn(400, 3, generator=torch.Generator().manual_seed(trial), dtype=torch.float64)
@@ -170,7 +170,7 @@ def test_wrong_shape_is_refused(slim: TrainedDetector) -> None:
 
 
 def test_training_takes_its_statistics_over_the_whole_canvas() -> None:
-    """A core saves work in evaluation; batch norms in training must not see less for it."""
+    """A core saves work in evaluation; in training, batch norms must still see the whole canvas."""
     spec = BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4, layers=(1, 1, 1))
     canvas = torch.randn(1, 4, 64, 64, generator=torch.Generator().manual_seed(0))
     seen = []

@@ -27,7 +27,7 @@ shipped = functools.cache(load_detector)
 
 @functools.cache
 def streets(sensor: str) -> list[Scene]:
-    """Two of them, which every detector is shown."""
+    """Return two streets that every detector receives."""
     scenes = StreetScenes(sensor, count=2, split="test")
     return [scenes.load(name) for name in scenes.names()]
 
@@ -38,7 +38,7 @@ def detector() -> TrainedDetector:
 
 
 def _found(detector: TrainedDetector, scene: Scene, iou_threshold: float) -> np.ndarray:
-    """For each well seen vehicle within the radius: the best score of a box that overlaps it enough, else 0."""
+    """Return the best score of a box that overlaps each well visible vehicle within the radius enough, else 0."""
     points = torch.from_numpy(scene.points[scene.has_beam]) - torch.tensor([0.0, 0.0, scene.ground_z_m])
     found = detector.detect(points, detector.window_for((0.0, 0.0), RADIUS_M + 3.0))
     mask = scene.labels.mask("vehicle") & (scene.labels.num_points >= WELL_SEEN)
@@ -51,7 +51,7 @@ def _found(detector: TrainedDetector, scene: Scene, iou_threshold: float) -> np.
 @pytest.mark.parametrize("sensor", ["hdl64", "waymo_top"])
 @pytest.mark.parametrize(("name", "overlap"), [("pointpillars", 0.7), ("sst", 0.5), ("sst_small", 0.5)])
 def test_finds_vehicles_of_held_out_streets(name: str, overlap: float, sensor: str) -> None:
-    """SST places boxes less well: at IoU 0.5."""
+    """SST places boxes less accurately: its threshold is IoU 0.5."""
     scores = np.concatenate([_found(shipped(name), scene, overlap) for scene in streets(sensor)])
     assert len(scores) >= 6
     assert np.mean(scores > 0.3) >= 0.8
@@ -60,7 +60,7 @@ def test_finds_vehicles_of_held_out_streets(name: str, overlap: float, sensor: s
 
 @pytest.mark.parametrize("name", DETECTOR_NAMES)
 def test_finds_nothing_where_nothing_is_not_even_at_the_edge_of_the_grid(name: str) -> None:
-    """There layers read zeros from beside the grid."""
+    """Layers read zeros beside the grid, which must not cause detections."""
     ranges = 1.9 / np.tan(np.deg2rad(np.arange(1.5, 20.0, 0.4)))  # of beams at 1.9 m that meet flat ground
     bearings = np.linspace(-np.pi, np.pi, 900)
     ground = np.stack([np.outer(ranges, wave(bearings)).ravel() for wave in (np.cos, np.sin)], axis=1)
@@ -91,7 +91,7 @@ SHIPPED = [name for name in DETECTOR_NAMES if (WEIGHTS_FOLDER / f"{name}.safeten
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_scores_are_the_same_to_the_bit(name: str) -> None:
-    """Five runs, each with the points in another order, on one thread; and to rounding on two."""
+    """Scores are equal in five runs with points in other orders on one thread, and to rounding on two threads."""
     detector, street = shipped(name), streets("waymo_top")[0]
     points = torch.from_numpy(street.points[street.has_beam]) - torch.tensor([0.0, 0.0, street.ground_z_m])
     vehicle = street.labels.boxes[street.labels.mask("vehicle")][0]

@@ -1,4 +1,4 @@
-"""SST: grouping by windows drops nothing, attention is the textbook's, and its reach is what the windows say."""
+"""SST: grouping by windows drops no token, attention is the textbook's, and its reach follows from the windows."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ NET = SstSpec(SMALL, encoder_hidden=8, out_channels=8)
 
 
 def _tokens(count: int, cells: int, seed: int, batches: int = 2) -> Tokens:
-    """Distinct cells, in the order in which the network sees them: by batch, then y, then x."""
+    """Return distinct cells in the network's order: by batch, then y, then x."""
     rng = np.random.default_rng(seed)
     flat = np.sort(rng.choice(batches * cells * cells, count, replace=False))
     return Tokens(flat // cells**2, flat % cells, flat // cells % cells)
@@ -62,7 +62,7 @@ def test_gather_is_its_own_derivative() -> None:
 
 
 def _plain_attention(layer: EncoderLayer, window: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
-    """One window's tokens through the layer, written as in the textbook."""
+    """Return one window's tokens after the layer, written as in the textbook."""
     width = window.shape[1]
     query, key = layer.query_key(window + positions).split(width, dim=1)
     value = layer.value(window)
@@ -106,7 +106,7 @@ def test_aligned_span_is_the_smallest_of_whole_windows(low: int, high: int, shif
 
 
 def test_the_reach_of_the_layers_is_that_of_their_windows() -> None:
-    """Which tokens an output's gradient touches, on a map where every cell is a token."""
+    """The test collects the tokens that an output's gradient touches, on a map where every cell is a token."""
     torch.manual_seed(0)
     transformer = WindowTransformer(TransformerSpec(width=8, heads=2, feed_forward=8, blocks=2, window=4)).double()
     cells = 40

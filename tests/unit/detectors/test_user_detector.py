@@ -1,4 +1,4 @@
-"""The user's own detector: the guide's file is one, and what is none is refused in a line that names it."""
+"""The user's own detector: the guide's file is valid, and an invalid file is refused in a line that names it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_cluster_of_points_is_found(guides: Path) -> None:
 
 
 def written(path: Path, parts: str, logits: str) -> Path:
-    """A detector's file. parts: of its module, made from weights. logits: of points, from these parts."""
+    """Write a detector's file. parts: of its module, made from weights. logits: of points, from these parts."""
     path.write_text(
         f"{HEAD}class Net(nn.Module):\n"
         "    def __init__(self, weights):\n"
@@ -89,7 +89,7 @@ def test_a_function_is_a_detector_too(tmp_path: Path) -> None:
 
 
 def test_a_file_that_changes_is_another_one(tmp_path: Path) -> None:
-    """Within a second and at the same length, where compiled files would hide it."""
+    """The file changes within a second and at the same length, so that compiled files would hide the change."""
     path = tmp_path / "mine.py"
     for factor in (2, 3):
         path.write_text(f"{HEAD}def load(weights): return lambda points: ({BOX}, {factor} * points.sum()[None])\n")

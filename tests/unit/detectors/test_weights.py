@@ -1,4 +1,4 @@
-"""Weight files: what is refused, and that saving and loading changes nothing."""
+"""Weight files: refusals, and that saving and loading changes nothing."""
 
 from pathlib import Path
 
@@ -65,7 +65,7 @@ def test_wrong_tensors(file: Path, tmp_path: Path, fault: str) -> None:
 
 
 def test_every_name_has_a_network_a_setting_and_a_recipe() -> None:
-    """One list: what settings, commands, weights and recipes go by."""
+    """One list names detectors in settings, commands, weights and recipes."""
     settings = Path(__file__).resolve().parents[3] / "conf" / "detector"
     assert tuple(NETWORKS) == DETECTOR_NAMES
     others = {OWN, ONNX, *FOREIGN}

@@ -1,4 +1,4 @@
-"""Tables of README and docs are drawn from docs/measured, and each file there says truly what it was measured at."""
+"""Tables of README and docs are drawn from docs/measured, whose files state commit and conditions truly."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_another_figure_draws_another_table(monkeypatch: pytest.MonkeyPatch) -> 
 def test_what_is_measured_again_is_drawn_by_the_names_that_its_script_gives(
     page: str, shown: str, times: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Names of a line are the labels that the table of other scenes has; the first one was written down by hand."""
+    """Line names are the labels in the table of other scenes; the first one was written by hand."""
     labels = {"universal": {"descent_universal4, lambda 1": ["pointpillars"]}}
     labels["universal_natural"] = {
         f"{search}_family_within95_universal4, lambda 0": ["pointpillars", "sst"]
@@ -87,14 +87,14 @@ def test_a_processor_without_bfloat16_leaves_its_row_out(monkeypatch: pytest.Mon
 
 
 def test_a_frontier_depends_on_what_its_own_journal_depends_on() -> None:
-    """The folders whose change makes `make frontier` measure afresh."""
+    """A change in these folders makes `make frontier` measure again."""
     for name in ("frontier", "final_newton"):
         parts = [f"shift3d/{part}" if part.endswith(".py") else f"shift3d/{part}/*" for part in drive._CODE]
         assert set(parts) <= set(ENTRIES[name].depends)
 
 
 def test_the_presets_that_ship_are_those_of_the_page() -> None:
-    """A report's table of presets and docs/why/accuracy.md: `docs/scripts/shipped.py presets` after a new frontier."""
+    """A report's table of presets and docs/why/accuracy.md agree; after a new frontier: `shipped.py presets`."""
     measured = record.read("frontier")["figures"]
     for preset in json.loads(MEASURED.read_text(encoding="utf-8")):
         values = {"ms": preset["ms_median"], "times paper": preset["ratio_to_paper"]}
@@ -135,7 +135,7 @@ def test_a_record_is_true_to_history(name: str) -> None:
         record.git("rev-parse", "HEAD")
     except record.NoGitError:
         pytest.skip("no git checkout to check against")
-    record.git("merge-base", "--is-ancestor", commit, "HEAD")  # raises where it is none
+    record.git("merge-base", "--is-ancestor", commit, "HEAD")  # raises if it is no ancestor
     if measured["commit"]:
         assert measured["digest"] == record.digest(measured["files"], commit)
     assert name in ENTRIES and str(Path.home()) not in str(measured["command"])

@@ -1,4 +1,4 @@
-"""A measurement runs in a clean checkout, says what it was measured at, and is current until a file changes."""
+"""A measurement runs in a clean checkout, records its commit, and is current until a file changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every page's links and pictures are there, and the README stays short."""
+"""Every page's links and pictures exist, and the README stays short."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_files_that_the_architecture_names_are_there() -> None:
 
 
 def test_files_that_code_and_settings_name_are_there() -> None:
-    """Help, messages, comments: a page or a settings file that a text sends a reader to."""
+    """Help, messages and comments refer to pages and settings files, which must exist."""
     texts = [path for room in ("shift3d", "conf", "sweeps", "jobs") for path in (ROOT / room).rglob("*.[py]*")]
     named = {
         (name, str(path.relative_to(ROOT)))

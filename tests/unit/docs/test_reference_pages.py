@@ -1,4 +1,4 @@
-"""docs/reference says what the code and the configuration say."""
+"""docs/reference agrees with the code and the configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The size of the package is counted by what its lines hold."""
+"""The size of the package is counted by the content of its lines."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ TO_ROWS = {
 
 
 def snippets() -> dict[str, str]:
-    """Library to its lines in the guide."""
+    """Return library to its lines in the guide."""
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
     return {name: block for block in blocks for name in TO_ROWS if re.match(rf"import {name}\b", block)}
 

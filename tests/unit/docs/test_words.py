@@ -1,4 +1,4 @@
-"""Names and texts keep to the field's terms: words that only this project would understand do not come back."""
+"""Names and texts use the field's terms: words that only this project would understand are refused."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 HERE = Path(__file__).relative_to(ROOT)
-# As a word of a name, `_` and capitals apart; names of tests are sentences.
+# As a part of a name, split at `_` and capitals. Names of tests are sentences and exempt.
 PRIVATE_NAMES = {
     *("anew", "asked", "crew", "edition", "editions", "follower", "followers", "freight", "greet", "leaps", "said"),
     *("sight", "slack", "standing", "tangents", "told", "twin", "twins", "worth"),
@@ -23,7 +23,7 @@ PRIVATE_TERMS = (
     *("empty_space", "grazing_floor", "guarded_box", "kept_step", "look_between", "round_batch", "settle_numerics"),
     *("silent beams?", "silent_beams", "sphere_m", "steady_steps", "still_a_car", "twins?", "unchecked_m"),
 )
-# What a diary says: the past is in git.
+# Words of a diary: the past is in git.
 DIARY = (
     "anew",
     "by this version",

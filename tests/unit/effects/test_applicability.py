@@ -1,4 +1,4 @@
-"""Which effects a scene calls for: by its data alone, in one order, at no cost where there is nothing to do."""
+"""Effects that a scene calls for: by its data alone, in one order, at no cost if no effect applies."""
 
 import dataclasses
 import json
@@ -23,14 +23,14 @@ LOST = 80.0
 
 
 def dry_scene() -> Scene:
-    """One origin, one return a beam, on the ground; no word about sensor, times, pixels or reflectance."""
+    """Return a scene with one origin, one return per beam, on the ground; no sensor, times, pixels, reflectance."""
     rng = np.random.default_rng(1)
     points = np.column_stack((rng.uniform(5, 40, (COUNT, 2)), np.full(COUNT, -1.7))).astype(np.float32)
     return Scene("dry street", "made", points, np.zeros((COUNT, 3), np.float32), -1.7)
 
 
 def with_data(*names: str) -> Scene:
-    """The dry scene with one more thing to its name, for each of `names`."""
+    """Return the dry scene with additional data for each of `names`."""
     scene = dry_scene()
     half = np.arange(COUNT) % 2
     pixels = np.stack((np.zeros(COUNT), np.arange(COUNT) // 2), 1).astype(np.int32)
@@ -68,7 +68,7 @@ def with_data(*names: str) -> Scene:
 
 
 ALONE = [name for name in NEEDS if name != "wet_ground"]
-"""Effects with data of their own; wet ground is there where rain meets a known limit."""
+"""Effects with data of their own; wet ground needs both rain and a known limit."""
 
 
 def called(scene: Scene, detector: DetectorFacts = COORDINATES, settings: EffectSettings | None = None) -> list[Choice]:
@@ -82,7 +82,7 @@ def names(choices: list[Choice]) -> list[str]:
 
 @pytest.fixture(autouse=True)
 def impact_file(monkeypatch, tmp_path):
-    """No effect is measured but for what a test writes into this file."""
+    """No effect has a measured impact except those that a test writes into this file."""
     file = tmp_path / "effects.json"
     monkeypatch.setattr(applicability, "MEASURED_IMPACT", file)
     applicability.measured_impact.cache_clear()
@@ -117,7 +117,7 @@ print(sorted(name for name in sys.modules if name.startswith("shift3d.effects"))
 
 
 def fresh(noise_m: float) -> tuple[list[str], list[str]]:
-    """In a process of its own: effects called for, modules of `render.effects` imported."""
+    """Return, from a new process, the effects called for and the imported modules of `render.effects`."""
     done = subprocess.run([sys.executable, "-c", _FRESH, str(noise_m)], capture_output=True, text=True, check=True)
     first, second = (json.loads(line.replace("'", '"')) for line in done.stdout.splitlines())
     return first, second
@@ -143,7 +143,7 @@ def test_an_effect_applies_in_the_scene_that_has_its_data(name):
 
 
 def laid_over(scene: Scene) -> Scene:
-    """The scene, its weather not in its points yet."""
+    """Return the scene with its weather not yet in its points."""
     return dataclasses.replace(scene, conditions=dataclasses.replace(scene.conditions, weather_in_points=False))
 
 
@@ -201,7 +201,7 @@ def test_unknown_names_are_refused_with_those_that_are_known():
 
 
 def test_a_forced_effect_is_used_whether_it_applies_or_not():
-    """A noise that float32 cannot hold is not called for; forced it is used."""
+    """Noise that float32 cannot represent is not called for; if forced, it is used."""
     scene = dataclasses.replace(dry_scene(), sensor=SensorModel(range_noise_m=1e-7))
     assert called(scene) == []
     assert choose(["range_noise"], SceneFacts.of(scene), COORDINATES) == [

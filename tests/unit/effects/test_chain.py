@@ -1,4 +1,4 @@
-"""What holds of every chain of effects: rows, gradients, the background, and what no effect changes."""
+"""Properties of every chain of effects: rows, gradients, the background, and quantities that no effect changes."""
 
 import dataclasses
 
@@ -25,7 +25,7 @@ NOTHING = EffectSettings()
 
 
 def scene_of(no_return: bool = False, sensors: int = 1, rings: int = 32, columns: int = 900) -> Scene:
-    """A scan of flat ground and a wall; every fourth return from beyond 30 m is left out if any is."""
+    """Return a scan of flat ground and a wall. no_return: every fourth return from beyond 30 m is removed."""
     points, place = ground_scan(rings, columns)
     origins = np.broadcast_to(place[None], points.shape)
     if sensors == 2:
@@ -111,7 +111,7 @@ def test_rows_never_change_number_or_order(names: list[str]) -> None:
 
 def test_what_has_no_return_rests_far_out_along_its_beam() -> None:
     scene = scene_of(no_return=True)
-    # A sensor that notices nothing beyond some metres.
+    # A sensor that detects nothing beyond some metres.
     chain = chain_of(["no_return_beams", "ray_drop"], scene, EffectSettings(limit_range_m=3.0))
     rendering = chain.render(CAR, THETA, SETTINGS)
     assert rendering.core is not None and rendering.returned is not None
@@ -129,7 +129,7 @@ def test_what_has_no_return_rests_far_out_along_its_beam() -> None:
 
 
 def test_gradients_flow_through_what_stays_on_the_object() -> None:
-    """A shift along the beam, and other places from which beams are cast, leave the derivative of a hit alone."""
+    """A shift along the beam and another beam origin do not change the derivative of a hit."""
     scene = dataclasses.replace(scene_of(), time_s=None)
     field = in_frame(soft_car(torch.zeros(6, dtype=torch.float64)), FRAME)
     pose = THETA.clone().requires_grad_()
@@ -190,10 +190,10 @@ def test_weather_is_laid_over_the_scene_once_and_the_objects_rows_replace_it() -
         rendering = chain.render(CAR, theta, SETTINGS)
         assert rendering.core is not None and rendering.returned is not None
         touched = rendering.core.hit_mask
-        # Beams past the object bring back what they do without it, the same drops and echoes whatever is inserted.
+        # Beams past the object have the same returns, drops and echoes as without it, whatever object is inserted.
         for name in ("points", "range_m", "returned"):
             assert torch.equal(getattr(rendering, name)[~touched], getattr(background, name)[~touched])
-        # Those that meet it bring back the object, or fog before it, or nothing: never what stood behind.
+        # Beams that meet the object return from it, or from fog before it, or not at all: never from behind.
         assert bool(rendering.hit_mask.any()) and not bool((rendering.hit_mask & ~touched).any())
         behind = (rendering.points == background.points).all(-1) & background.returned & rendering.returned
         before = background.range_m < rendering.core.range_m

@@ -36,7 +36,7 @@ ANGLE = 0.003
 
 
 def scene_through(places: np.ndarray, behind: float = 2.0, reflectance: float | None = None) -> Scene:
-    """Beams from the origin through places (N, 3), which return from `behind` times as far."""
+    """Return beams from the origin through places (N, 3), with returns at `behind` times their range."""
     points = (behind * places).astype(np.float32)
     known = None if reflectance is None else np.full(len(points), reflectance, np.float32)
     origins = np.broadcast_to(np.zeros((1, 3), np.float32), points.shape)
@@ -46,7 +46,7 @@ def scene_through(places: np.ndarray, behind: float = 2.0, reflectance: float | 
 def rendered(
     scene: Scene, field: Field, frame: Frame, theta: Tensor = AHEAD, angle: float | None = ANGLE
 ) -> tuple[Rendering, Rendering]:
-    """With the effect, and without."""
+    """Render with the effect, and without."""
     plain = render(Beams.of_main_sensor(scene), field, theta, frame, EXACT)
     if angle is None:
         return plain, plain
@@ -55,7 +55,7 @@ def rendered(
 
 
 def around_a_ball(count: int = 1500, behind: float = 2.0) -> Scene:
-    """Beams at a ball of 1 m, half of them within a few centimetres of its silhouette."""
+    """Return beams at a ball of 1 m, half of them within a few centimetres of its silhouette."""
     rng = np.random.default_rng(2)
     edge = 20.0 / math.sqrt(399.0)
     radius = np.concatenate((rng.uniform(0, 1.5, count // 2), edge + rng.uniform(-0.05, 0.05, count - count // 2)))
@@ -64,7 +64,7 @@ def around_a_ball(count: int = 1500, behind: float = 2.0) -> Scene:
 
 
 def ball_echoes(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
-    """Ranges, powers and whether on the ball of all 7 sub-rays of all beams: (N, 7), by the closed form."""
+    """Return ranges, powers and ball mask (N, 7) of all sub-rays of all beams, by the closed form."""
     beams = Beams.of_main_sensor(scene)
     outer = sub_rays(beams.directions, SUB_RAY_SHARE * ANGLE / 2)
     directions = torch.cat((beams.directions[:, None], outer), 1)
@@ -81,7 +81,7 @@ def ball_echoes(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def ball_verdicts(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
-    """(N,) whether each beam returns from the ball, from where, and whether the effect leaves it alone; plainly."""
+    """Return (N,) per beam: if it returns from the ball, its range, and if the effect leaves it alone; plainly."""
     ranges, powers, hits = (part.tolist() for part in ball_echoes(scene))
     verdicts = []
     for range_m, power, hit in zip(ranges, powers, hits, strict=True):
@@ -110,7 +110,7 @@ def test_every_beam_about_a_ball_is_what_all_its_sub_rays_make_of_it(behind: flo
     assert float((rendering.range_m - where)[won].abs().max()) < 1e-7
     gained, lost = won & ~plain.hit_mask, plain.hit_mask & ~won
     moved = plain.hit_mask & won & ~alone
-    # A ball sends little back from its edge: what it loses to a wall at 40 m, it wins from one at 100 m.
+    # A ball's edge reflects little: beams that it loses to a wall at 40 m, it wins from a wall at 100 m.
     assert int((lost if behind == 2.0 else gained).sum()) > 30 and int(moved.sum()) > 30
     assert 200 < int((~alone).sum()) < 400
     points = torch.from_numpy(scene.points)
@@ -133,8 +133,10 @@ REACH = FRONT * math.tan(ANGLE / 3)
 
 
 def past_the_edge(offsets: list[float]) -> np.ndarray:
-    """Places on the plane of the front face, so far to the left of its left edge; their sub-rays, on it, are at
-    REACH times 1, 1/2, -1/2, -1, -1/2, 1/2 to the left of the axis."""
+    """Return places on the front face's plane, by their distance to the left of its left edge.
+
+    Their sub-rays there are at REACH times 1, 1/2, -1/2, -1, -1/2, 1/2 to the left of the axis.
+    """
     return np.array([[FRONT, 1.5 + offset, 0.0] for offset in offsets])
 
 
@@ -146,7 +148,7 @@ def test_a_known_share_of_the_cone_on_a_plate() -> None:
     one = 0.4 / FRONT**2 > 6 * SCENE_ALBEDO / (2 * FRONT) ** 2
     assert rendering.hit_mask.tolist() == [True, True, True, True, one, False]
     assert torch.equal(rendering.points[0], plain.points[0]) and torch.equal(rendering.points[5], plain.points[5])
-    # Head on, sub-rays are longer by 1 / cos of their angle alone.
+    # Head on, sub-rays are longer only by 1 / cos of their angle.
     plane = FRONT / Beams.of_main_sensor(scene_through(past_the_edge(offsets))).directions[:, 0]
     assert float((rendering.range_m - plane)[:4].abs().max()) < 2.0 * ANGLE * 1.5
 
@@ -187,7 +189,7 @@ def test_a_no_return_beams_cone_needs_no_more_than_to_touch() -> None:
 
 
 def stepped(scene: Scene, field: Field, frame: Frame, angle: float | None) -> tuple[Returns, Returns]:
-    """The step alone: what comes in, and what goes out."""
+    """Apply the step alone. Returns its input and its output."""
     sensor = None if angle is None else SensorModel(divergence_rad=angle)
     scene = Scene("step", "made", scene.points, scene.origins, -1.7, sensor=sensor)
     beams = Beams.of_main_sensor(scene)
@@ -209,7 +211,7 @@ def test_rows_handed_on_are_hits_and_gained_ones_ascending_and_their_light_is_th
     assert torch.equal(after.row[after.on_object], won.nonzero().squeeze(1))
     assert set(before.row.tolist()) <= set(after.row.tolist())
     assert bool(after.returned.all())
-    # Echoes of a ball's edge lie within a pulse, so all of them count: their light is what the object sends back.
+    # Echoes of a ball's edge are within one pulse, so all of them count: their light is the object's.
     changed = after.on_object & ~alone[after.row]
     light = (torch.where(hit, power * range_m**2, 0.0).sum(1) / 7.0)[after.row]
     assert float((after.albedo * after.cosine - light)[changed].abs().max()) < 1e-6
@@ -248,7 +250,7 @@ def test_twice_the_same_and_whatever_else_is_cast() -> None:
 def test_gradient_of_the_range_is_that_of_finite_differences() -> None:
     turned = AHEAD.clone()
     turned[3:5] = torch.tensor([-0.25, 0.1])
-    # The front's left edge of a plate that is turned, seen under its own edge.
+    # The left edge of a turned plate's front, seen below the edge.
     edge = torch.tensor([[-0.5, 1.5, 0.1]], dtype=torch.float64)
     corner = scene_from_object(edge, turned)[0].numpy()
     places = np.array([[corner[0], corner[1] + k * REACH, corner[2]] for k in (-0.35, 0.35)])

@@ -48,7 +48,7 @@ def test_overlap_rises_linearly_from_0_9_to_1_metre():
 
 
 def test_power_by_hand():
-    # 0.5 * 0.8 / 20^2 = 1e-3; at 0.95 m half is seen, at 0 m nothing.
+    # 0.5 * 0.8 / 20^2 = 1e-3; at 0.95 m half is visible, at 0 m nothing.
     power = echo_power(values(0.5, 0.5, 0.5), values(0.8, 0.8, 0.8), values(20.0, 0.95, 0.0))
     torch.testing.assert_close(power, values(1e-3, 0.5 * 0.4 / 0.95**2, 0.0))
 
@@ -90,7 +90,7 @@ def test_gradients_of_power_and_survival():
 
 @pytest.mark.parametrize("spread", [0.3, 1.0])
 def test_losses_on_the_object_and_on_the_scene(spread):
-    """On the object S(P T) survives; of what is known to have come back, S(P T) / S(P)."""
+    """The share S(P T) of echoes on the object survives; of the returns known to exist, S(P T) / S(P)."""
     sensor = SensorModel(limit_range_m=100.0, power_spread=spread)
     context = context_of(sensor)
     power, transmission = torch.full((COUNT,), 1.5e-4, dtype=torch.float64), torch.full((COUNT,), 0.5).double()
@@ -116,7 +116,7 @@ def test_two_losses_in_turn_are_one_by_both(on_object):
 
 
 def test_ray_drop_after_weather_loses_nobody_that_weather_had_to_keep():
-    """One draw a beam: what weather leaves is lost by no second draw at the same power."""
+    """There is one draw per beam: an echo that weather keeps is not lost by a second draw at the same power."""
     sensor = SensorModel(limit_range_m=100.0, power_spread=0.4)
     context = context_of(sensor)
     power, transmission = torch.full((COUNT,), 1e-4, dtype=torch.float64), torch.full((COUNT,), 0.7).double()

@@ -1,7 +1,7 @@
-"""Places on a vehicle of 4 x 1.8 x 1.5 m, worked out by hand from the shares in `materials`.
+"""Places on a vehicle of 4 x 1.8 x 1.5 m, computed by hand from the shares in `materials`.
 
-Bottom at z = -0.75. Windows from z = (0.62 - 0.5) 1.5 = 0.18 to 0.63. Axles at x = 1.24 and -1.12; tyre radius
-0.3, centre at z = -0.45, rim radius 0.186; tyres beyond |y| = 0.6. Edges reach 2 cm to either side.
+Bottom at z = -0.75. Windows from z = (0.62 - 0.5) 1.5 = 0.18 to 0.63. Axles at x = 1.24 and -1.12; tyre radius 0.3,
+centre at z = -0.45, rim radius 0.186; tyres beyond |y| = 0.6. Edges reach 2 cm to either side.
 """
 
 import math
@@ -72,7 +72,7 @@ def test_between_the_darkest_and_paint_and_constant():
 
 
 def test_rounding_changes_it_by_no_more_than_rounding():
-    """Continuous with a slope of at most paint over edge in each factor: four of them, at most."""
+    """The slope is at most paint over edge in each of at most four factors."""
     place = torch.rand(50_000, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(3)) * 3.0 - 1.5
     moved = place.float().double()
     shift = (place - moved).norm(dim=-1)
@@ -86,7 +86,7 @@ def test_tyres_of_a_longer_vehicle_are_where_its_axles_are():
     place = torch.tensor([[1.55, 0.95, -0.8], [-1.4, -0.95, -0.8], [1.24, 0.95, -0.8]], dtype=torch.float64)
     front, rear, between = albedo_of(place, AT_ORIGIN, longer).tolist()
     assert (front, rear) == (TYRE_ALBEDO, TYRE_ALBEDO)
-    # (-0.31, -0.325) from that axle, out of the tyre.
+    # (-0.31, -0.325) from that axle, outside the tyre.
     assert math.hypot(0.31, 0.325) > 0.375 + EDGE_M and between == PAINT_ALBEDO
 
 

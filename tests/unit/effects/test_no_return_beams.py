@@ -1,4 +1,4 @@
-"""Beams without a return: where they rest, and what they meet."""
+"""Beams without a return: their ends, and the surfaces that they meet."""
 
 import dataclasses
 
@@ -44,7 +44,7 @@ def scene_of(place: tuple[float, float, float] = (0.0, 0.0, 0.0), second: bool =
 
 
 def sphere_depths(beams: Beams, centre: torch.Tensor) -> torch.Tensor:
-    """(N,) range of a unit sphere at centre (3,), or (N, 3); infinite where the beam misses it."""
+    """Return (N,) range of a unit sphere at centre (3,), or (N, 3); infinite if the beam misses it."""
     to_centre = centre - beams.origins
     along = (beams.directions * to_centre).sum(-1)
     discriminant = along**2 - to_centre.square().sum(-1) + 1.0

@@ -1,4 +1,4 @@
-"""Beams that start in several places meet the object from there."""
+"""Beams with several origins meet the object from their own origin."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ SETTINGS = preset("reference").with_(step_m=0.02)
 
 
 def scene_of(places: np.ndarray, count: int = 200) -> Scene:
-    """Beams from places (P, 3), taking turns, at a wall 40 m ahead, all through a window about the object."""
+    """Return beams from places (P, 3) in turns, at a wall 40 m ahead, all through a window about the object."""
     rng = np.random.default_rng(3)
     points = np.stack((np.full(count, 40.0), rng.uniform(-4, 4, count), rng.uniform(-4, 4, count)), 1)
     origins = places[np.arange(count) % len(places)].astype(np.float32)
@@ -65,7 +65,7 @@ def test_one_place_is_the_identity_bit_for_bit(place: tuple[float, float, float]
 
 
 def test_places_that_agree_row_by_row_give_the_beams_of_one_place() -> None:
-    """The two ways of writing one place down, a view and a copy, are cast alike."""
+    """One place is stored in two ways, as a view and as a copy, which must be cast alike."""
     copied = scene_of(np.array([[0.5, -1.0, 0.25]]))
     rows = Beams.from_scene(copied)
     one = Beams.of_main_sensor(copied)

@@ -28,7 +28,7 @@ def context_of(sigma_m: float | None, count: int = COUNT, seed: int = 5) -> Effe
 
 
 def returns_of(context: EffectContext, rows: torch.Tensor | None = None) -> Returns:
-    """Rows halfway along their beams, on the object."""
+    """Return rows halfway along their beams, on the object."""
     beams = context.beams
     row = torch.arange(len(beams)) if rows is None else rows
     origins, directions = beams.origins[row], beams.directions[row]
@@ -98,7 +98,7 @@ def test_a_row_gets_its_draw_whatever_else_is_hit():
 
 
 def test_derivatives_are_those_of_the_exact_point():
-    """Against central differences of range along the beam, and of the point in any direction."""
+    """The references are central differences of range along the beam, and of the point in any direction."""
     context = context_of(SIGMA_M, 6)
     step, base = EFFECT.bind(context), returns_of(context)
 

@@ -1,4 +1,4 @@
-"""Lost echoes against the survival law, and what the law asks to be left alone."""
+"""Lost echoes against the survival law, and rows that the law leaves alone."""
 
 import dataclasses
 import math
@@ -23,7 +23,7 @@ DETECTOR = DetectorFacts("reader")
 
 
 def context_of(limit_m: float | None, spread: float = 0.0, count: int = COUNT, seed: int = 5) -> EffectContext:
-    """Beams that end 20 m away from the origin, in all directions."""
+    """Return beams that end 20 m away from the origin, in all directions."""
     rng = np.random.default_rng(1)
     points = rng.standard_normal((count, 3))
     points = (20.0 * points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)
@@ -35,7 +35,7 @@ def context_of(limit_m: float | None, spread: float = 0.0, count: int = COUNT, s
 def returns_of(
     context: EffectContext, albedo: float | None = None, cosine: float = 1.0, range_m: float = 20.0
 ) -> Returns:
-    """All rows on the object at one range; albedo None: uniform in [0, 1]."""
+    """Return all rows on the object at one range; albedo None: uniform in [0, 1]."""
     beams, count = context.beams, len(context.beams)
     yes = torch.ones(count, dtype=torch.bool)
     drawn = torch.rand(count, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
@@ -52,7 +52,7 @@ def returned_share(context: EffectContext, before: Returns) -> float:
 @pytest.mark.parametrize("spread", [0.2, 0.45, 1.0])
 @pytest.mark.parametrize("ratio", [0.4, 1.0, 2.5])
 def test_survival_at_one_power(spread, ratio):
-    """At ratio times the least power, ratio^(1/s) / (1 + ratio^(1/s)) of the echoes are detected."""
+    """The share ratio^(1/s) / (1 + ratio^(1/s)) of echoes at ratio times the least power is detected."""
     context = context_of(LIMIT_M, spread)
     albedo = ratio * 0.9 / LIMIT_M**2 * 20.0**2 / 0.5
     expected = 1.0 / (1.0 + ratio ** (-1.0 / spread))
@@ -61,7 +61,7 @@ def test_survival_at_one_power(spread, ratio):
 
 
 def test_survival_over_albedos():
-    """Uniform albedos, spread 1: the mean over rho of rho / (rho + rho0) is 1 - rho0 ln(1 + 1 / rho0)."""
+    """The mean over uniform albedos of rho / (rho + rho0), for spread 1, is 1 - rho0 ln(1 + 1 / rho0)."""
     context = context_of(LIMIT_M, 1.0)
     least = 0.9 / LIMIT_M**2 * 40.0**2
     expected = 1.0 - least * math.log(1.0 + 1.0 / least)
@@ -70,7 +70,7 @@ def test_survival_over_albedos():
 
 
 def test_a_sharp_limit_is_a_threshold_on_power():
-    """At the stated limit an albedo of 0.9, head on, is just detected; farther, darker or flatter it is not."""
+    """At the stated limit an albedo of 0.9, head on, is just detected; a farther, darker or flatter one is not."""
     context = context_of(LIMIT_M, 0.0, 200)
     for albedo, cosine, range_m, expected in (
         (0.9, 1.0, 0.999 * LIMIT_M, 1.0),
@@ -125,7 +125,7 @@ def test_a_row_gets_its_draw_whatever_else_is_hit():
 
 
 def test_what_is_lost_at_a_range_is_lost_farther_out():
-    """The same draw at every range: an attack that moves an object sees no flicker."""
+    """The draw is the same at every range: an attack that moves an object sees no flicker."""
     context = context_of(LIMIT_M, 1.0, 2000)
     step = EFFECT.bind(context)
     near, far = (step(returns_of(context, range_m=r)).returned for r in (30.0, 45.0))
@@ -134,7 +134,7 @@ def test_what_is_lost_at_a_range_is_lost_farther_out():
 
 @pytest.mark.parametrize("spread", [0.0, 0.45])
 def test_judging_after_weather_loses_no_more_than_weather_alone(spread):
-    """An echo that the sensor notices through fog it notices in clear air."""
+    """An echo detected through fog is also detected in clear air."""
     context = context_of(LIMIT_M, spread, 4000)
     before = returns_of(context, range_m=35.0)
     power = echo_power(before.albedo, before.cosine, before.range_m)
@@ -154,7 +154,7 @@ def test_what_stays_keeps_its_gradient():
 
 
 def test_applies_where_the_weakest_echo_comes_near_the_limit():
-    """Sharp: the darkest echo, albedo cos(80 deg) / 50^2, equals 0.9 / limit^2 for a limit of 569 m."""
+    """The darkest echo, albedo cos(80 deg) / 50^2, equals 0.9 / limit^2 for a sharp limit of 569 m."""
     limit_m = OBJECT_FAR_M * math.sqrt(0.9 / (DARKEST_ALBEDO * math.cos(STEEP_RAD)))
     assert round(limit_m) == 569
     scene = context_of(None, count=50).scene

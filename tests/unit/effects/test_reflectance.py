@@ -1,4 +1,4 @@
-"""Reflectance of the object's points: Lambert's law, and nothing else changed."""
+"""Reflectance of the object's points: Lambert's law, and no other change."""
 
 import dataclasses
 import math
@@ -47,7 +47,7 @@ def test_paint_by_the_angle_it_is_met_at():
 
 
 def test_it_does_not_depend_on_range():
-    """What is reported is corrected for range: the same surface twice as far reports the same."""
+    """Reported values are corrected for range: the same surface at twice the range reports the same."""
     context = context_of()
     before = returns_of(context)
     farther = before.moved_to(2.0 * before.range_m[before.on_object], before.on_object.nonzero().squeeze(1))

@@ -25,7 +25,7 @@ COUNT, SCAN_S = 400, 0.1
 
 
 def scene_of(conditions: Conditions | None = None, sensor: SensorModel | None = None) -> Scene:
-    """Beams at a wall 40 m ahead, which fire in a mixed order."""
+    """Return beams at a wall 40 m ahead, which fire in a mixed order."""
     rng = np.random.default_rng(8)
     points = np.stack((np.full(COUNT, 40.0), rng.uniform(-5, 5, COUNT), rng.uniform(-2, 2, COUNT)), 1)
     times = rng.permutation(np.linspace(0.0, SCAN_S, COUNT)).astype(np.float32)
@@ -48,7 +48,7 @@ def test_a_plate_that_drives_away_is_met_where_it_is_when_each_beam_fires() -> N
     time = torch.from_numpy(scene.time_s).double()  # type: ignore[arg-type]
     depth = (19.5 + 12.0 * time) / beams.directions[:, 0]
     at = depth[:, None] * beams.directions
-    # The sides are seen too: only beams well within the front face are asked.
+    # The sides are visible too: only beams well within the front face are checked.
     front = (at[:, 1:].abs() < 1.4).all(-1)
     assert bool(rendering.hit_mask[front].all()) and int(front.sum()) > 100
     assert float((rendering.range_m - depth)[front].abs().max()) < 1e-8
@@ -72,7 +72,7 @@ def test_hits_lie_on_their_beams_and_the_other_rows_are_the_scenes_bit_for_bit()
     rendering = chain_of(scene, 15.0, 0.7).render(PLATE, THETA, SETTINGS)
     beams, hit = Beams.from_scene(scene), rendering.hit_mask
     exact = (beams.origins + rendering.range_m[:, None] * beams.directions)[hit]
-    # As near as the dtype of the scene's points can say.
+    # To the precision of the dtype of the scene's points.
     assert float((rendering.points[hit].double() - exact).abs().max()) <= 21.0 * 2.0**-24
     assert torch.equal(rendering.points[~hit], torch.from_numpy(scene.points)[~hit])
 

@@ -65,7 +65,7 @@ SAME, OTHER = (3, 70), (70, 3)
         ([0, 1, 2], [SAME] * 3, [True] * 3, [True, False, False]),
         ([0, 1, 2], [SAME] * 3, [False, True, True], [True, True, False]),
         ([0, 0], [SAME, SAME], [True, True], [True, True]),  # neither comes after the other
-        ([0, 1], [(-1, -1)] * 2, [True, True], [True, True]),  # no pixel: nothing to pair by
+        ([0, 1], [(-1, -1)] * 2, [True, True], [True, True]),  # no pixel: no key for pairing
     ],
 )
 def test_beams_by_hand(number, pixel, on_object, expected):
@@ -82,7 +82,7 @@ def test_pixels_of_two_sensors_are_different_beams():
 
 
 def random_scene(count: int, seed: int) -> Scene:
-    """Up to three returns a beam, some missing, rows in any order, three sensors."""
+    """Return up to three returns per beam, some missing, rows in any order, three sensors."""
     rng = np.random.default_rng(seed)
     beams = np.stack((rng.integers(0, 40, count), rng.integers(0, 30, count)), 1)
     sensor = rng.integers(0, 3, count)
@@ -117,7 +117,7 @@ def test_whole_beams_come_out_the_same_whatever_else_is_hit():
     on_object = np.random.default_rng(6).random(len(scene.points)) < 0.5
     step = EFFECT.bind(context)
     whole = step(returns_of(context, on_object)).returned
-    # Rows that are not on the object stop nothing: as in the chain, which hands over the object's rows alone.
+    # Rows off the object stop nothing: the chain, too, passes the object's rows alone.
     rows = torch.from_numpy(np.flatnonzero(on_object))
     assert torch.equal(step(returns_of(context, on_object, rows)).returned, whole[rows])
     assert scene.range_image_index is not None
@@ -147,9 +147,9 @@ def test_what_is_gone_already_stays_gone_and_still_stops_the_beam():
 
 
 def test_one_return_a_beam_from_an_inserted_box():
-    """A box 4 m thick around x = 20 m. First returns at 16 or 40 m, second ones at 45 m, along the x axis and beside.
+    """A box 4 m thick is around x = 20 m. First returns are at 16 or 40 m, second ones at 45 m, near the x axis.
 
-    Points that stay on it follow its pose: dx / dx_object = 1, straight ahead.
+    Points that stay on the box follow its pose: dx / dx_object = 1, straight ahead.
     """
     frame = Frame(size_m=(4.0, 2.0, 2.0))
     direction = np.array([[1.0, 0.0, 0.0], [1.0, 0.01, 0.0], [1.0, 0.5, 0.0]])

@@ -1,4 +1,4 @@
-"""Which cones are looked at: against casting every sub-ray of every beam."""
+"""Selection of cones to test, against casting every sub-ray of every beam."""
 
 import math
 
@@ -20,7 +20,7 @@ ANGLE = 0.003
 
 
 def scene_about_a_car(seed: int) -> Scene:
-    """Beams from the origin all over a car at 18 m, at a wall twice as far."""
+    """Return beams from the origin all over a car at 18 m, at a wall twice as far."""
     rng, count = np.random.default_rng(seed), 1500
     places = np.stack((np.full(count, 18.0), rng.uniform(-1, 5, count), rng.uniform(-2, 0.2, count)), 1)
     origins = np.broadcast_to(np.zeros((1, 3), np.float32), places.shape)
@@ -41,7 +41,7 @@ def test_no_beam_is_overlooked_whose_sub_rays_disagree(yaw: float) -> None:
     ends = beams.ranges_m.repeat_interleave(6)
     cast = Beams.from_arrays(ends[:, None] * outer, torch.zeros(3))
     found = render(cast, field, theta, frame, EXACT)
-    # An edge may be out by a twentieth of the cone's radius: what misses the car by less than that does not count.
+    # An edge may be off by a twentieth of the cone's radius: closer misses do not count.
     nearly = render(cast, in_frame(rounded(car(), 0.001), frame), theta, frame, EXACT).hit_mask.reshape(-1, 6)
     hits = torch.cat((plain.hit_mask[:, None], found.hit_mask.reshape(-1, 6)), 1)
     ranges = torch.cat((plain.range_m[:, None], found.range_m.reshape(-1, 6)), 1)

@@ -1,4 +1,4 @@
-"""Frames whose metrics can be counted: cars in a row along x, 20 points each unless said."""
+"""Frames whose metrics can be counted: cars in a row along x, 20 points each unless stated."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ LENGTH_M = 4.0
 
 
 def cars(*x_m: float, heading: float = 0.0, y: float = 0.0, z: float = 0.8) -> np.ndarray:
-    """Cars 4 m long, 2 m wide and 1.6 m high."""
+    """Return cars 4 m long, 2 m wide and 1.6 m high."""
     return np.array([[x, y, z, LENGTH_M, 2.0, 1.6, heading] for x in x_m], dtype=float).reshape(-1, 7)
 
 
 def shift_for(iou: float) -> float:
-    """How far along x a car is moved to overlap its old place by this IoU: (4 - s) / (4 + s)."""
+    """Return the shift along x that leaves this IoU of a car with its old place: (4 - s) / (4 + s)."""
     return LENGTH_M * (1.0 - iou) / (1.0 + iou)
 
 
@@ -32,7 +32,7 @@ def frame(
     image_height_px: Sequence[float] | None = None,
     scene: str = "made",
 ) -> DetectedFrame:
-    """A frame; what is not given is 20 points, everything counts, no difficulty, no camera."""
+    """Return a frame. Defaults: 20 points, everything counts, no difficulty, no camera."""
     number, boxes = len(truth), len(found)
     return DetectedFrame(
         scene,

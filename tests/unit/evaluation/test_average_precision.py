@@ -1,4 +1,4 @@
-"""Average precision taken best score first, counted by hand."""
+"""Average precision in order of scores, counted by hand."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ def test_perfect_detections_give_one() -> None:
 
 
 def test_counted_by_hand() -> None:
-    # By score: hit, miss, hit, miss; four vehicles. Precision 1, 1/2, 2/3, 2/4 at recall 1/4, 1/4, 1/2, 1/2.
-    # The envelope is 1 up to recall 1/4, then 2/3 up to 1/2, nothing beyond: 1/4 + 1/4 * 2/3.
+    # By score: hit, miss, hit, miss; four vehicles. Precision 1, 1/2, 2/3, 2/4 at recall 1/4, 1/4, 1/2, 1/2. The
+    # envelope is 1 up to recall 1/4, then 2/3 up to 1/2, nothing beyond: 1/4 + 1/4 * 2/3.
     matches = _match(cars(0, 100, 10, 200), [0.9, 0.8, 0.7, 0.6], cars(0, 10, 20, 30))
     curve = _exact(matches)
     assert curve.average_precision == pytest.approx(0.25 + 0.25 * 2 / 3)
     assert curve.recall.tolist() == [0.25, 0.25, 0.5, 0.5]
     assert curve.score_threshold.tolist() == [0.9, 0.8, 0.7, 0.6]
     assert curve.num_truth == 4
-    # Ten of the 40 recalls lie up to 1/4, ten more up to 1/2.
+    # Ten of the 40 recalls are up to 1/4, ten more up to 1/2.
     assert greedy_curve([matches], at_40_recalls=True).average_precision == pytest.approx((10 + 10 * 2 / 3) / 40)
 
 
 def test_a_recall_position_that_is_just_reached_counts() -> None:
-    # 3 of 40 found, nothing wrong: positions 1/40, 2/40 and 3/40.
+    # 3 of 40 found, no false detection: positions 1/40, 2/40 and 3/40.
     recall = np.arange(1, 4) / 40
     assert area_r40(recall, np.ones(3)) == pytest.approx(3 / 40)
     assert area_r40(recall - 1e-6, np.ones(3)) == pytest.approx(2 / 40)
@@ -63,7 +63,7 @@ def test_frames_are_pooled_by_score() -> None:
 
 
 def test_the_better_score_wins_the_vehicle() -> None:
-    # 0.9 overlaps both vehicles enough and takes the one it overlaps most; 0.8 overlaps that one alone: wrong.
+    # 0.9 overlaps both vehicles enough and takes the one with the larger overlap; 0.8 overlaps that one alone: false.
     a, b = cars(0, 1)
     matches = _match(np.array([cars(0.4)[0], a]), [0.9, 0.8], np.array([a, b]))
     assert matches.is_true.tolist() == [True, False]
@@ -91,7 +91,7 @@ def test_detections_outside_the_region_are_dropped_unless_they_match() -> None:
 
 
 def test_equal_scores_enter_together() -> None:
-    # Whichever comes first: one hit and one miss at the same score is precision 1/2.
+    # In either order: one hit and one miss at the same score is precision 1/2.
     for is_true in ([True, False], [False, True]):
         flags = np.array(is_true)
         curve = _exact(FrameMatches(np.array([0.5, 0.5]), flags, flags.astype(float), 1))

@@ -37,7 +37,7 @@ def _random_frames(count: int = 12) -> list[DetectedFrame]:
 
 
 def test_errors_are_measured_in_the_vehicle_s_own_axes() -> None:
-    """A car that faces left: a box 0.3 m to the left is ahead of it, and 0.1 m behind it in x is to its left."""
+    """A car faces left: a box 0.3 m to the left is ahead of it, and a box 0.1 m behind in x is to its left."""
     truth = cars(20.0, heading=pi / 2)
     found = truth + np.array([[-0.1, 0.3, 0.05, 0.2, -0.1, 0.15, 0.02]])
     rows = vehicle_rows([frame(truth, found, [0.9])])
@@ -91,7 +91,7 @@ def test_over_all_it_is_waymo_s_value() -> None:
 
 
 def test_a_group_counts_its_own_vehicles_alone() -> None:
-    """Two cars seen from behind are found, two from the side are not; a false alarm stands across the beam."""
+    """Two cars seen from behind are found, two from the side are not; a false alarm is turned across the beam."""
     truth = np.concatenate((cars(20.0, 30.0), cars(40.0, 50.0, heading=pi / 2)))
     found = np.concatenate((truth[:2], cars(60.0, heading=pi / 2)))
     rows = _rows([frame(truth, found, [0.9, 0.8, 0.95])])
@@ -108,7 +108,7 @@ def test_false_alarms_fall_on_groups_of_points_as_vehicles_do() -> None:
     truth = cars(20.0, 30.0)
     found = np.concatenate((truth, cars(60.0)))
     rows = _rows([frame(truth, found, [0.9, 0.9, 0.9], points=[10, 50])])
-    # Each group has half of the vehicles: one is right, half a false alarm wrong.
+    # Each group has half of the vehicles: one true, half a false alarm.
     assert rows["points", "6-19", "AP", "BEV"].value == pytest.approx(1 / 1.5)
     assert rows["points", "20-99", "AP", "BEV"].value == pytest.approx(1 / 1.5)
 
@@ -139,7 +139,7 @@ def test_intervals_hold_the_value_and_are_the_same_again() -> None:
 
 
 def test_vehicles_of_one_frame_have_no_interval_however_many_frames_there_are() -> None:
-    """Whatever is drawn, their number is that of the one frame: it would look certain."""
+    """Every draw has the same number of vehicles, that of the one frame: its interval would seem certain."""
     seen, across = frame(cars(20.0), cars(20.0), [0.9]), cars(40.0, 50.0, heading=pi / 2)
     frames = [seen, frame(across, across[:1], [0.8]), seen]
     rows = _rows(frames)

@@ -1,4 +1,4 @@
-"""Failure rules: found where there is one, none where there is none, and tried on what they were not found on."""
+"""Failure rules: found if one exists, none otherwise, and tested on objects on which they were not found."""
 
 import dataclasses
 import math
@@ -53,7 +53,7 @@ def test_a_range_between_two_bounds_is_one_condition() -> None:
 
 
 def test_a_large_effect_does_not_hide_a_smaller_one() -> None:
-    """Compared with all others, half of which score 0.1, far objects would score more than they."""
+    """Far objects would score higher than all others, half of which score 0.1."""
     quantities = drawn()
     low, far = quantities["height_m"] <= 1.6, quantities["range_m"] > 40
     first, second = find_rules(quantities, np.where(low, 0.1, np.where(far, 0.6, 0.8)))
@@ -88,7 +88,7 @@ def test_the_difference_of_means_and_its_interval() -> None:
 
 
 def objects(transfers: bool = True, scenes: int = 20, vehicles: int = 4) -> pd.DataFrame:
-    """Objects of which the detector misses far and low ones; on the second half of the vehicles too, where asked."""
+    """Return objects of which the detector misses far and low ones; transfers: on the second half of vehicles, too."""
     rng = np.random.default_rng(2)
     rows = []
     for scene in range(scenes):
@@ -132,7 +132,7 @@ def test_a_rule_of_some_vehicles_alone_does_not_hold() -> None:
 
 
 def test_another_detector_is_asked_about_objects_that_the_rule_was_not_found_on() -> None:
-    """What it makes of the objects on which the rule was found is of no account."""
+    """The other detector's scores of the objects on which the rule was found do not count."""
     rows = objects()
     found_on = rows["place"].isin(sorted(rows["place"].unique())[::2]) & rows["vehicle"].isin(["v0", "v2"])
     (as_drawn,) = failure_rules(rows)
@@ -157,7 +157,7 @@ def test_an_object_whose_size_is_not_known_takes_no_size_from_the_others() -> No
 
 
 def by_chance(seed: int, scenes: int = 20, vehicles: int = 60) -> pd.DataFrame:
-    """Vehicles that are missed more and less for reasons of their own: no size, and nothing else, has to do with it."""
+    """Return vehicles that are missed more or less for their own reasons: neither size nor any other column matters."""
     rng = np.random.default_rng(seed)
     own = rng.normal(0.6, 0.2, vehicles)
     sizes = pd.DataFrame(rng.uniform(1.0, 2.0, (vehicles, 4)), columns=list(SIZES))
@@ -172,7 +172,7 @@ def by_chance(seed: int, scenes: int = 20, vehicles: int = 60) -> pd.DataFrame:
 
 
 def test_what_vehicles_owe_to_chance_confirms_no_rule_about_other_vehicles() -> None:
-    """However many scenes they stand in, the others are so many vehicles. By scenes alone a third of the rules held."""
+    """More scenes add no vehicles. Resampling of scenes alone would confirm a third of the rules."""
     found = [rule for seed in range(12) for rule in failure_rules(by_chance(seed))]
     assert len(found) >= 30
     of_same = [rule.tried["other scenes"].high < 0 for rule in found]
@@ -181,7 +181,7 @@ def test_what_vehicles_owe_to_chance_confirms_no_rule_about_other_vehicles() -> 
 
 
 def test_vehicles_are_draws_as_scenes_are() -> None:
-    """Scores of vehicles alone: in however many scenes, the difference is as uncertain as so many vehicles leave it."""
+    """Scores depend on vehicles alone: in any number of scenes, the difference has the uncertainty of the vehicles."""
     rng = np.random.default_rng(3)
     own = np.concatenate((rng.normal(0.3, 0.1, 40), rng.normal(0.7, 0.1, 40)))
     vehicles, places = np.repeat(np.arange(80), 12), np.tile(np.arange(12), 80)
@@ -240,7 +240,7 @@ def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_veh
 
 
 def test_an_object_that_is_missed_under_two_effects_is_two(sweep: Sweep) -> None:
-    """As one that scores otherwise under each: else misses would count for less than what is found."""
+    """An object may have another score under each effect: otherwise misses would count for less than detections."""
     again = sweep.scores.assign(task_id="again-" + sweep.scores["task_id"])
     scores = pd.concat([sweep.scores, again], ignore_index=True)
     tasks = SimpleNamespace(effects_requested_of=lambda ids: [["fog" if "again" in task else "none"] for task in ids])

@@ -22,7 +22,7 @@ def _one(frames: list[DetectedFrame], **which: object) -> Metric:
 
 
 def test_kitti_difficulties_are_cumulative_and_ignore_what_is_harder() -> None:
-    # Easy, moderate, hard, harder: all found; one wrong detection below them all.
+    # Easy, moderate, hard, harder: all found; one false detection with the lowest score.
     made = frame(cars(0, 10, 20, 30), cars(0, 10, 20, 30, 60), [0.9, 0.8, 0.7, 0.6, 0.5], difficulty=[0, 1, 2, 3])
     assert _kitti(made, 0) == (1, 1.0, [1.0, 0.5])
     assert _kitti(made, 1) == (2, 1.0, pytest.approx([1.0, 1.0, 2 / 3]))
@@ -51,11 +51,11 @@ def test_kitti_misses_count() -> None:
 
 
 def test_the_projects_own_metric_counts_near_vehicles_with_twenty_points() -> None:
-    # Near and dense; near and sparse (19 points); far. All found, one wrong near, one wrong far.
+    # Near and dense; near and sparse (19 points); far. All found, one false near, one false far.
     made = frame(cars(10, 20, 60), cars(10, 20, 60, 40, 70), [0.9, 0.9, 0.9, 0.8, 0.95], points=[20, 19, 50])
     curve = _one([made], protocol="shift3d", view="BEV", iou_threshold=0.7).curve
     assert curve.num_truth == 1 and curve.average_precision == 1.0
-    assert curve.precision.tolist() == [1.0, 0.5]  # the wrong one at 40 m alone
+    assert curve.precision.tolist() == [1.0, 0.5]  # the false one at 40 m alone
 
 
 def test_kitti_rows_follow_waymos_levels_where_labels_have_no_difficulty() -> None:
@@ -86,14 +86,14 @@ def test_every_metric_of_a_perfect_detector_is_one_and_of_a_blind_one_zero() -> 
     assert [m.curve.num_truth * 2 for m in blind] == [m.curve.num_truth for m in perfect]
     nothing = list(evaluate([frame(cars(), cars(5), [0.9])]))
     assert all(metric.curve.average_precision is None for metric in nothing)
-    # Each key once, and the same keys whatever the frames.
+    # Each key once, and the same keys for any frames.
     keys = [(m.protocol, m.view, m.subset, m.iou_threshold, m.min_range_m, m.max_range_m) for m in perfect]
     assert len(set(keys)) == len(keys)
     assert keys == [(m.protocol, m.view, m.subset, m.iou_threshold, m.min_range_m, m.max_range_m) for m in nothing]
 
 
 def test_values_are_ordered_as_their_definitions_say() -> None:
-    # Whatever the detector: 3D and the higher IoU are never easier, and headings never add.
+    # For any detector: 3D and the higher IoU are never easier, and headings never add.
     rng = np.random.default_rng(5)
     frames = []
     for _ in range(6):

@@ -1,4 +1,4 @@
-"""Waymo's average precision, counted by hand, and what must not change it."""
+"""Waymo's average precision, counted by hand, and changes that must not affect it."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ def _curve(
 
 
 def _at(curve: PrecisionRecall, cutoff: float) -> tuple[float, float, float]:
-    """Recall, precision and precision with headings at a score cut-off."""
+    """Return recall, precision and precision with headings at a score cut-off."""
     row = round(100 * cutoff)
     return float(curve.recall[row]), float(curve.precision[row]), float(curve.heading_precision[row])
 
 
 def test_cutoffs() -> None:
     assert len(SCORE_CUTOFFS) == 101 and SCORE_CUTOFFS[0] == 0.0 and SCORE_CUTOFFS[-1] == 1.0
-    # A detection takes part at a cut-off that equals its score.
+    # A detection counts at a cut-off that equals its score.
     curve = _curve(frame(cars(0), cars(0), [0.29]))
     assert _at(curve, 0.29) == (1.0, 1.0, 1.0) and _at(curve, 0.30) == (0.0, 1.0, 1.0)
 
 
 def test_area_of_hand_drawn_curves() -> None:
-    # A single point: its precision holds down to recall 0, beyond it there is nothing.
+    # A single point: its precision holds down to recall 0, beyond it the area is zero.
     assert waymo_area([0.04], [0.5]) == pytest.approx(0.04 * 0.5)
     # Neighbours nearer than 0.05: trapezoids. 0.02 at 0.8, then a slope from 0.8 to 0.6 over 0.04.
     assert waymo_area([0.02, 0.06], [0.8, 0.6]) == pytest.approx(0.02 * 0.8 + 0.04 * 0.7)
-    # From 0.2 to 1 nothing was measured: the lower precision holds down to 0.25, one slope is left, then 0.2 at 0.1.
+    # There is no point from 0.2 to 1: the lower precision holds down to 0.25, one slope is left, then 0.2 at 0.1.
     wide = 0.05 * 0.75 + 0.05 * (0.05 + 0.1) / 2 + 0.2 * 0.1
     assert waymo_area([0.2, 1.0], [0.1, 0.05]) == pytest.approx(wide)
-    # A local minimum is lifted to the precision beyond it; the order of points is of no matter.
+    # A local minimum is lifted to the precision beyond it; the order of points does not matter.
     assert waymo_area([1.0, 0.4, 0.2], [0.05, 0.0, 0.1]) == pytest.approx(wide)
     # At equal recall the higher precision stays.
     assert waymo_area([0.04, 0.04], [0.2, 0.5]) == pytest.approx(0.04 * 0.5)
@@ -55,7 +55,7 @@ def test_area_of_hand_drawn_curves() -> None:
 
 
 def test_three_vehicles_and_four_detections_by_hand() -> None:
-    # 0.95 right, 0.85 wrong, 0.75 right, 0.65 a second one of the first vehicle: wrong. One vehicle is missed.
+    # 0.95 true, 0.85 false, 0.75 true, 0.65 a second detection of the first vehicle: false. One vehicle is missed.
     curve = _curve(frame(cars(0, 10, 20), cars(0, 40, 10, 0.1), [0.95, 0.85, 0.75, 0.65]))
     assert curve.num_truth == 3
     assert _at(curve, 0.96) == (0.0, 1.0, 1.0)
@@ -71,8 +71,8 @@ def test_three_vehicles_and_four_detections_by_hand() -> None:
 
 
 def test_the_assignment_is_the_best_and_not_the_greedy_one() -> None:
-    # Vehicles A and B; the better detection overlaps A by 0.82 and B by 0.74, the other one A alone, by 0.90.
-    # Greedy by score: A goes to the first, the second is wrong, B is missed. Best sum: both are right.
+    # Vehicles A and B; the better detection overlaps A by 0.82 and B by 0.74, the other one A alone, by 0.90. Greedy by
+    # score: A goes to the first, the second is false, B is missed. Best sum: both are true.
     a = cars(0)
     first = cars(shift_for(0.82))
     b = cars(float(first[0, 0]) + shift_for(0.74))
@@ -91,7 +91,7 @@ def test_the_assignment_is_the_best_and_not_the_greedy_one() -> None:
 
 
 def test_levels_differ_by_points() -> None:
-    # 6 points: LEVEL_1. 5 and 1: LEVEL_2. 0: not there, and finding it is wrong.
+    # 6 points: LEVEL_1. 5 and 1: LEVEL_2. 0: no vehicle, and its detection is false.
     truth = cars(0, 10, 20, 30)
     nothing = frame(truth, cars(), [], points=[6, 5, 1, 0])
     assert _curve(nothing, level="LEVEL_1").num_truth == 1
@@ -102,11 +102,11 @@ def test_levels_differ_by_points() -> None:
 
 
 def test_a_detection_of_a_level_2_object_in_level_1() -> None:
-    # One LEVEL_1 vehicle found, one missed, one LEVEL_2 vehicle found, one wrong detection.
+    # One LEVEL_1 vehicle found, one missed, one LEVEL_2 vehicle found, one false detection.
     made = frame(cars(0, 10, 20), cars(0, 20, 40), [0.9, 0.9, 0.9], points=[50, 50, 3])
-    # Waymo's library: 2 right, 1 wrong, 1 missed.
+    # Waymo's library: 2 true, 1 false, 1 missed.
     assert _at(_curve(made), 0.5) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
-    # Strictly: 1 right, 1 wrong, 1 missed; that of the LEVEL_2 object is left out.
+    # Strictly: 1 true, 1 false, 1 missed; the detection of the LEVEL_2 object is left out.
     assert _at(_curve(made, credit_harder=False), 0.5) == pytest.approx((1 / 2, 1 / 2, 1 / 2))
     # In LEVEL_2 both countings agree.
     both = [_curve(made, level="LEVEL_2", credit_harder=credit) for credit in (True, False)]
@@ -157,7 +157,7 @@ def test_height_counts_in_3d_alone() -> None:
 
 
 def test_range_bins_take_objects_and_detections_by_their_own_distance() -> None:
-    # A vehicle at 29.9 m whose detection stands at 30.1 m: missed in the near bin, an error in the next one.
+    # A vehicle at 29.9 m with its detection at 30.1 m: missed in the near bin, an error in the next one.
     made = frame(cars(29.9, 40), cars(30.1, 40), [0.9, 0.9])
     near, far = _curve(made, range_m=(0.0, 30.0)), _curve(made, range_m=(30.0, 50.0))
     assert (near.num_truth, near.average_precision) == (1, 0.0)
@@ -172,12 +172,12 @@ def test_nothing_found_and_nothing_to_find() -> None:
     for nothing in (_curve(frame(cars(), cars(0), [0.9])), _curve(frame(cars(), cars(), [])), _curve()):
         assert nothing.average_precision is None and nothing.average_precision_heading is None
         assert np.isfinite(nothing.precision).all() and np.isfinite(nothing.recall).all()
-    # Only LEVEL_2 objects: LEVEL_1 has no value, whatever was found.
+    # Only LEVEL_2 objects: LEVEL_1 has no value for any detections.
     assert _curve(frame(cars(0), cars(0), [0.9], points=[2])).average_precision is None
 
 
 def _random_frame(seed: int, heading_noise: float = 0.3) -> DetectedFrame:
-    """Crowded: cars every 1.5 to 5 m, so that detections compete; scores with many ties."""
+    """Return a crowded frame: cars every 1.5 to 5 m, so that detections compete; scores with many ties."""
     rng = np.random.default_rng(seed)
     x = np.cumsum(rng.uniform(1.5, 5.0, 14)) - 20.0
     truth = np.concatenate([cars(value, heading=rng.uniform(-0.05, 0.05), y=5.0) for value in x])

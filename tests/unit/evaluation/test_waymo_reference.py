@@ -1,6 +1,6 @@
-"""Against Waymo's own metrics library: what it says about crowded random frames, at every score cut-off.
+"""Results of Waymo's own metrics library for crowded random frames, at every score cut-off.
 
-The answers are in tests/reference/waymo_ap.json, beside the script that asked the library for them.
+They are in tests/reference/waymo_ap.json, beside the script that computed them with the library.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _frames() -> list[DetectedFrame]:
 
 
 def test_the_reference_is_no_easy_case() -> None:
-    """Detections compete, both levels occur, and boxes lie where nothing is labelled."""
+    """Detections compete, both levels occur, and some boxes have no label."""
     competing = sum(int(((compare(f, "BEV").overlap >= 0.5).sum(axis=1) > 1).sum()) for f in _frames())
     assert competing >= 5
     values = np.array([[answer["ap"], answer["aph"]] for answer in ANSWERS])

@@ -1,4 +1,4 @@
-"""What the small sweeps of these tests are made of."""
+"""Parts of the small sweeps of these tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CHEAP = ("scenes.count=1", "scenes.sensor=hdl64", "scenes.traffic=family", "atta
 
 
 def set_stable(folder: Path, stable: Mapping[str, bool | None]) -> None:
-    """As a verification that came to this, by vehicle."""
+    """Write a verification with this result by vehicle."""
     path = folder / "final" / "scores.parquet"
     table = read_table(path, "scores")
     values = pa.array([stable[vehicle] for vehicle in table["vehicle"].to_pylist()], type=pa.bool_())

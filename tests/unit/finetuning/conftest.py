@@ -23,13 +23,13 @@ def _attacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def attacked(_attacked: Path, tmp_path: Path) -> Path:
-    """On a training street: the suv's objects stable, the coupe's not. A copy that a test may damage."""
+    """A sweep on a training street: the suv's objects stable, the coupe's not. A copy that a test may damage."""
     return Path(shutil.copytree(_attacked, tmp_path / "attacked"))
 
 
 @pytest.fixture(scope="session")
 def held_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The suv on a test street; tests only read it."""
+    """A sweep of the suv on a test street; tests only read it."""
     folder = tmp_path_factory.mktemp("sweeps") / "held_out"
     assert (
         run_command(sweep.COMMAND, ["finetune_held_out", *CHEAP, "vehicle=suv", "attack.steps=1", f"out={folder}"]) == 0

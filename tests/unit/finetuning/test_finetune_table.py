@@ -21,7 +21,7 @@ SCENES = 12
 
 
 def scores(model: str, seed: float, objects: str, values: list[float]) -> pd.DataFrame:
-    """One object a scene."""
+    """Return scores of one object per scene."""
     rows = {"vehicle": "suv", "place": [f"street/{index}" for index in range(len(values))], "settings": "shape"}
     return pd.DataFrame({**rows, "score": values, "objects": objects, "model": model, "seed": seed}).assign(
         scene_set="held_out"
@@ -75,7 +75,7 @@ def test_a_mean_over_seeds_holds_objects_that_every_seed_has() -> None:
 
 
 def test_objects_that_no_column_tells_apart_keep_their_mean_over_seeds() -> None:
-    """As under attack.starts=1,8: two objects of one vehicle, scene and settings."""
+    """Two objects have one vehicle, scene and settings, for example under attack.starts=1,8."""
     given = by_hand().query("objects != @ADAPTIVE")
     twice = pd.concat([given, given.assign(score=given["score"] - 0.1)], ignore_index=True)
     one, two = (finetune_table(rows, []).to_pandas() for rows in (given, twice))
@@ -130,8 +130,11 @@ def test_the_page_shows_both_models_beside_the_papers_figures() -> None:
 
 
 def test_models_are_compared_over_the_scenes_that_they_were_last_evaluated_on(tmp_path: Path) -> None:
-    """All six answers lie in both folders: of the detector before, which misses the vehicles of the last three, by
-    another command with more streets; of the one after from the same command with more streets before this one."""
+    """Both folders hold answers for all six scenes, of which the last three are misses.
+
+    Another command with more streets evaluated the detector before on all six; the last run evaluated the one after on
+    three, and an earlier run of it on more.
+    """
     box = np.array([[10.0, 0.0, 0.8, 4.0, 1.8, 1.6, 0.0]])
     for model, evaluated in (("before", 6), ("after", 3)):
         answers = []

@@ -1,4 +1,4 @@
-"""A held-out sweep that got further objects is scored again by tuned weights, and one that did not is not."""
+"""A held-out sweep with added objects is scored again by tuned weights; one without is not."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_objects_of_tasks_that_were_retried_are_scored_too(tmp_path: Path, monke
         report.score_held_out(tmp_path, tuned)
         assert scored == (list(report.HELD_OUT) if grown else [])
         scored.clear()
-    settings.append("street/s shape")  # as another version names them: pairs would not be found
+    settings.append("street/s shape")  # like another version's names: pairs would not be found
     report.score_held_out(tmp_path, tuned)
     assert scored == list(report.HELD_OUT)
     scored.clear()

@@ -1,4 +1,4 @@
-"""Frames of two data sets, or of two folders of one, may have one name: each of them is a scene of its own."""
+"""Frames of two data sets, or of two folders of one, may have one name: each frame is a scene of its own."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAME = "000000"
 
 
 class _Assets:
-    """Scenes of one folder, told apart by how many points they have."""
+    """Scenes of one folder, which differ in their number of points."""
 
     def __init__(self, points: int) -> None:
         self.points = points
@@ -34,7 +34,7 @@ class _Assets:
 
 
 def _found(*scenes: tuple[str, str]) -> SweepObjects:
-    """Two objects a scene: its data set and the hash of its content."""
+    """Return two objects per scene, given by data set and content hash."""
     rows = []
     for assets, (dataset, scene_hash) in enumerate(scenes):
         for alpha in (0.1, 0.2):
@@ -52,7 +52,7 @@ def test_each_is_trained_on_and_refused_afterwards(tmp_path: Path) -> None:
 
 
 def test_a_street_under_two_weathers_is_one_place_and_two_scenes() -> None:
-    """Intervals redraw places whole; a gain is of the objects that vehicle, place and settings name."""
+    """Intervals redraw whole places; a gain is of the objects with the same vehicle, place and settings."""
     dry, fog = (
         SweepObject(
             TaskSpec("suv", f"street-test-hdl64-000000{tag}", f"street-hdl64{tag}", "shape", 1.0, 0.1, "sst", "draft"),
@@ -85,14 +85,14 @@ def test_a_street_under_two_weathers_is_one_place_and_two_scenes() -> None:
 def test_a_scene_is_seen_by_its_data_set_and_name_its_street_or_its_content(
     seen: str, measured: str, shared: bool
 ) -> None:
-    """?: what is not known."""
+    """A question mark represents an unknown value."""
     one, other = (cast(Any, tuple(text.replace("?", "").split(" "))) for text in (seen, measured))
     assert shared_scenes([one], [other]) == ([other[1]] if shared else [])
 
 
 @pytest.mark.parametrize("scenes", [{NAME: "aa"}, [["kitti", NAME, "aa"]]])
 def test_weights_are_refused_on_what_they_were_tuned_on(tmp_path: Path, scenes: Any) -> None:
-    """Older files say no data set."""
+    """Older files state no data set."""
     write_provenance(tmp_path / "w.safetensors", {"before": {"finetuned_on": {"scenes": scenes}}})
     refuse_tuned_scenes(tmp_path / "w.safetensors", [("kitti", "000001", "")])
     with pytest.raises(InputError, match=f"was fine-tuned on {NAME}"):

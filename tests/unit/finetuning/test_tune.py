@@ -40,13 +40,13 @@ def tuned(attacked: Path, out: Path, *words: str) -> Path:
 
 @pytest.fixture(scope="module")
 def weights(_attacked: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of one epoch; tests only read them."""
+    """Weights after one epoch; tests only read them."""
     out = tmp_path_factory.mktemp("tuned")
     return tuned(_attacked, out, "recipe.peak_rate=2e-5", "recipe.seed=3")
 
 
 def test_the_same_command_again_leaves_the_same_bytes(_attacked: Path, weights: Path) -> None:
-    """That another folder gets them too is held by tests/service/test_finetune_resumes.py."""
+    """tests/service/test_finetune_resumes.py checks that another folder gets the same bytes."""
     words = ("recipe.peak_rate=2e-5", "recipe.seed=3")
     before = weights.read_bytes()
     assert tuned(_attacked, weights.parent, *words).read_bytes() == before, "what is finished is finished again"
@@ -74,7 +74,7 @@ def test_provenance_names_the_sweep_its_rows_and_what_was_left_out(_attacked: Pa
 
 
 def test_at_next_to_no_rate_the_detector_stays_the_one_it_was(attacked: Path, tmp_path: Path) -> None:
-    """Batch statistics included: a difference that is measured is the objects' doing."""
+    """Batch statistics do not change either: a measured difference is an effect of the objects alone."""
     found = load_file(tuned(attacked, tmp_path / "out", "steps=1", "recipe.peak_rate=1e-30"))
     before = load_network(SHIPPED, "pointpillars").state_dict()
     assert found.keys() == before.keys()
@@ -116,7 +116,7 @@ def test_an_adaptive_attack_on_weights_that_were_replaced_since_is_no_score_of_t
 
 
 def test_a_control_is_tuned_on_the_tasks_that_the_tuning_is(attacked: Path) -> None:
-    """A suv whose found shape is unstable is in neither, however stable the unchanged one is."""
+    """A suv whose found shape is unstable is in neither training, even if its unchanged shape is stable."""
     path = attacked / "final" / "scores.parquet"
     table = read_table(path, "scores").to_pylist()
     rows = [row | {"stable": row["vehicle"] == "suv" or row["method"] == "baseline"} for row in table]

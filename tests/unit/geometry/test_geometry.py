@@ -17,7 +17,7 @@ from shift3d.geometry.se3 import object_from_scene, scene_from_object, scene_R_o
 
 
 def test_pose_convention_by_hand() -> None:
-    """A car at (10, 5, 0) heading left (+y): the point two metres ahead of it lies at (10, 7, 0)."""
+    """A car at (10, 5, 0) heading left (+y): the point two metres ahead of it is at (10, 7, 0)."""
     pose = torch.tensor([10.0, 5.0, 0.0, math.pi / 2, 0.0, 0.0], dtype=torch.float64)
     ahead = object_from_scene(torch.tensor([[10.0, 7.0, 0.0]], dtype=torch.float64), pose)
     torch.testing.assert_close(ahead, torch.tensor([[2.0, 0.0, 0.0]], dtype=torch.float64), atol=1e-12, rtol=0)
@@ -51,7 +51,7 @@ def test_pose_gradient_matches_finite_differences() -> None:
     st.one_of(st.none(), st.tuples(st.integers(-1500, 1500), st.integers(-4, 4), st.sampled_from([np.float32, float]))),
 )
 def test_wrap_angle_keeps_the_direction(angle: float, edge: tuple[int, int, type] | None) -> None:
-    """edge: a whole number of half turns, some floats farther, of either width."""
+    """edge: an integer number of half turns, some floats farther, of either width."""
     if edge is not None:
         half_turns, steps, width = edge
         angle = float(width(half_turns * math.pi) + steps * np.spacing(width(half_turns * math.pi)))
@@ -79,7 +79,7 @@ def test_iou_by_hand() -> None:
 
 
 def test_iou_3d_of_boxes_above_each_other() -> None:
-    """Same footprint, heights 2: half of it shared is 1 / 3, a quarter 0.5 / 3.5; a box inside another is its share."""
+    """Boxes of height 2 on one footprint: sharing half gives 1 / 3, a quarter 0.5 / 3.5; nested boxes their ratio."""
     base = np.array([[1.0, 2.0, 0.0, 4.0, 2.0, 2.0, 0.7]])
     others = np.repeat(base, 5, axis=0)
     others[:, 2] = [0.0, 1.0, -1.5, 2.0, 3.0]
@@ -118,7 +118,7 @@ def test_iou_is_symmetric_and_invariant_under_rigid_motion(a: tuple, b: tuple, t
         item[0, 1] = np.sin(turn) * x + np.cos(turn) * y - shift
         item[0, 6] += turn
         moved.append(item)
-    # 20 km away a coordinate carries 4e-12 m; relative coordinates keep the overlap to about that.
+    # 20 km away a coordinate has an error of 4e-12 m; relative coordinates keep the overlap to about that.
     assert iou_bev(*moved)[0, 0] == pytest.approx(before, abs=1e-8)
 
 

@@ -32,7 +32,7 @@ def test_boxes_in_every_position(spread_m: float) -> None:
 
 
 def test_shared_edges_right_angles_and_nesting() -> None:
-    """Where clipping has to decide ties: edges on each other, corners on edges, one box within the other."""
+    """Clipping must decide ties: coincident edges, corners on edges, one box inside the other."""
     headings = np.repeat(np.arange(8) * np.pi / 4, 9)
     boxes = np.zeros((len(headings), 7))
     boxes[:, 0] = np.tile([0.0, 1.0, 2.0], 24)

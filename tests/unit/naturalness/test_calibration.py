@@ -1,4 +1,4 @@
-"""The percentile: what share of left-out members lies nearer than a shape."""
+"""The percentile: share of left-out members that are nearer than a shape."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_the_worse_of_mean_and_tail_counts() -> None:
 
 @given(values, st.randoms())
 def test_by_chance_as_many_members_lie_within_a_percentile_as_it_says(means: list[float], random: object) -> None:
-    """Ranks of the members themselves are even: at most the stated share lies above, however means and tails go."""
+    """Ranks of the members themselves are even: at most the stated share is above, for any means and tails."""
     tails = list(means)
     random.shuffle(tails)  # type: ignore[attr-defined]
     found = Calibration(np.array(means), np.array(tails))

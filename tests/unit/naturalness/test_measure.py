@@ -1,4 +1,4 @@
-"""Naturalness against small sets: nearest members, verdicts, and what must not change them."""
+"""Naturalness against small sets: nearest members, verdicts, and changes that must not affect them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def vehicles() -> list[trimesh.Trimesh]:
 
 
 class Boxes:
-    """A decoder of boxes: (centre, size) each, metres, whatever the code; none: nothing at all."""
+    """Decoder that returns boxes, (centre, size) each in metres, for any code; without boxes: no surface at all."""
 
     def __init__(self, boxes: list[tuple[tuple[float, float, float], tuple[float, float, float]]]) -> None:
         self.boxes = boxes
@@ -60,7 +60,7 @@ def test_a_member_is_its_own_nearest_at_distance_zero(set_of_20: NaturalnessMete
 
 
 def test_a_shape_between_two_members_is_as_far_as_its_ends_are(set_of_20: NaturalnessMeter) -> None:
-    """3 cm longer than a member: 1.5 cm at both ends, which are 2 x 1.8 x 1.1 m of the area."""
+    """A shape 3 cm longer than a member is off by 1.5 cm at both ends, which are 2 x 1.8 x 1.1 m of the area."""
     found = set_of_20.of(on_legs(length_m=4.63))
     assert found.nearest is not None and found.nearest.name == "member-10"
     ends = 2 * 1.8 * 1.1 / on_legs().area
@@ -69,7 +69,7 @@ def test_a_shape_between_two_members_is_as_far_as_its_ends_are(set_of_20: Natura
 
 
 def test_a_member_left_out_lies_at_the_median(set_of_20: NaturalnessMeter) -> None:
-    """Members at equal steps all have the same distance: nobody lies nearer than the least of them."""
+    """Members at equal steps all have the same distance: none has less than the least."""
     left_out = set_of_20.reference.calibration
     assert left_out.mean_cm.std() < 0.15 * left_out.mean_cm.mean()
     assert measures(legged([*np.delete(LENGTHS, 10).tolist(), 3.5])).of(on_legs(length_m=4.6)).natural
@@ -85,7 +85,7 @@ def test_far_from_all_members_is_the_hundredth_percentile(set_of_20: Naturalness
 
 
 def test_sizes_that_no_vehicle_has_are_unnatural_even_for_a_member() -> None:
-    """Half a reference set of squeezed vehicles makes none of them natural: metres are judged, not shape alone."""
+    """A reference set that is half squeezed vehicles makes none of them natural: metres count, not shape alone."""
     squeezed = []
     for length in LENGTHS[:9]:
         mesh = on_legs(length_m=float(length))
@@ -176,11 +176,11 @@ def test_a_code_without_a_surface_is_unnatural(set_of_20: NaturalnessMeter) -> N
 def test_a_shape_with_more_than_a_tenth_of_its_surface_loose_is_no_vehicle(
     set_of_20: NaturalnessMeter, side: float, above_m: float, natural: bool
 ) -> None:
-    """A cube that floats over a member; whatever the percentile allows."""
+    """A cube that floats over a member is no vehicle at any percentile."""
     loose = (0.0, 0.0, 1.3 + above_m + side / 2), (side, side, side)
     decoder: Any = Boxes([*legged_boxes(length_m=4.6), loose])
     found = set_of_20.of_code(VEHICLE, decoder, np.zeros(4, np.float32))
-    body = on_legs(length_m=4.6).area - 4 * 2 * (0.5 * 0.2 + 0.5 * 0.3 + 0.2 * 0.3)  # what legs hide, both ways
+    body = on_legs(length_m=4.6).area - 4 * 2 * (0.5 * 0.2 + 0.5 * 0.3 + 0.2 * 0.3)  # area that legs hide, both sides
     together = body / (body + 6 * side**2) if above_m > 0.2 else 1.0
     assert found.largest_piece == pytest.approx(together, abs=0.02)
     assert found.within(100.0) == natural and found.out_of_range == (() if natural else ("largest_piece",))

@@ -1,4 +1,4 @@
-"""Where reference sets come from, how they are kept, and which are refused."""
+"""Sources of reference sets, their storage, and refused sets."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
 
 @pytest.mark.parametrize("part", ["vehicles/vehicle.py", "vehicles/vehicle_set.py", "sdf/deepsdf_network.py"])
 def test_a_set_that_other_code_made_is_made_again(monkeypatch: pytest.MonkeyPatch, part: str) -> None:
-    """What decodes a member, and puts it into metres, decides what it is."""
+    """The code that decodes a member and converts it to metres determines the member."""
     known, read = reference_file(SetReference()), Path.read_bytes
     monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
     monkeypatch.setattr("shift3d.naturalness.build.program_digest", program_digest.__wrapped__)
@@ -139,7 +139,7 @@ def test_another_unit_is_refused_with_the_one_that_fits(tmp_path: Path) -> None:
 
 
 def test_sizes_that_no_vehicle_has_are_refused_whatever_the_unit(tmp_path: Path) -> None:
-    """Limousines that are given the length of a car, and cars of 2.2 m: within a reader's limits, no vehicles."""
+    """Limousines with the length of a car, and cars of 2.2 m, are within a reader's limits, but are no vehicles."""
     for scale in ((1.0, 0.5, 1.0), (0.55, 0.55, 0.55)):
         meshes = []
         for mesh in legged(np.linspace(3.6, 5.5, 21)).meshes:
@@ -156,7 +156,7 @@ def test_too_few_members_for_a_percentile_are_refused(tmp_path: Path) -> None:
 
 
 def test_copies_and_links_of_a_mesh_are_no_further_members(tmp_path: Path) -> None:
-    """A vehicle that comes twice has no distance to the rest of the set: with all of them twice nothing is usual."""
+    """A duplicate vehicle has no distance from the rest of the set: with all vehicles twice no distance is usual."""
     folder = Path(folder_of(tmp_path, 21))
     before = MeshReference(str(folder), METRES).identity()
     (folder / "old").mkdir()

@@ -1,4 +1,4 @@
-"""Surfaces as points: distances of boxes that are known, and what must not change them."""
+"""Surfaces as points: known distances of boxes, and changes that must not affect them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def apart_cm(a: Surface, b: Surface) -> float:
 
 @pytest.mark.parametrize("metres", [0.02, 0.06, 0.1])
 def test_a_longer_box_is_as_far_as_its_ends(metres: float) -> None:
-    """Two ends lie half the difference away, and on average half as far what the longer one's sides have beyond."""
+    """Both ends are half the difference away, and the far parts of the longer box's sides half of that on average."""
     short, long = box(), box(4.5 + metres)
     ends, length = 2 * 1.8 * 1.5, 2 * (1.8 + 1.5)
     out = (ends * metres / 2 + length * metres * metres / 4) / long.area
     back = ends * metres / 2 / short.area
     a, b = surface_of_mesh(short), surface_of_mesh(long)
-    # Discs reach beyond an edge by their radius: what lies less than that outside counts as on the surface.
+    # Discs reach beyond an edge by their radius: a point less than that outside counts as on the surface.
     bound = length * metres * min(metres / 2, a.disc_m) / long.area
     assert out - bound - 2e-4 <= a.distances_to(b.points).mean() <= out + 2e-4
     assert b.distances_to(a.points).mean() == pytest.approx(back, abs=2e-3)
@@ -39,7 +39,7 @@ def test_the_same_surface_is_at_distance_zero_and_another_triangulation_nearly()
 
 
 def test_distances_are_those_to_triangles_to_two_millimetres_or_three_percent() -> None:
-    """The plain reference: exact distances to the triangles of vehicles of the family."""
+    """The plain reference computes exact distances to the triangles of vehicles of the family."""
     meshes = [build_wide_mesh(wide_vehicle(index, 3), 0.08) for index in (0, 5, 8, 12)]
     for first, second in zip(meshes, meshes[1:] + meshes[:1]):
         a, b = surface_of_mesh(first), surface_of_mesh(second)

@@ -1,4 +1,4 @@
-"""Sizes in metres: what is measured on boxes, and which vehicles no data sheet has."""
+"""Sizes in metres: measures of boxes, and sizes that no data sheet has."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_a_symmetric_shape_is_its_own_mirror_image() -> None:
 
 
 def test_what_stands_on_one_side_alone_is_asymmetric() -> None:
-    """A block of 1 x 0.4 x 0.4 m on the roof's left edge: its own surface is missing on the right."""
+    """A block of 1 x 0.4 x 0.4 m is on the roof's left edge: its own surface is missing on the right."""
     block = trimesh.creation.box((1.0, 0.4, 0.4))
     block.apply_translation((0, 0.7, 0.95))
     found = sizes_of(surface_of_mesh(trimesh.util.concatenate([box(), block])))

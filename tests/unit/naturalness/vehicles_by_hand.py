@@ -23,7 +23,7 @@ def box(length: float = 4.5, width: float = 1.8, height: float = 1.5) -> trimesh
 
 
 def on_legs(clearance_m: float = 0.2, length_m: float = 4.5) -> trimesh.Trimesh:
-    """A body 1.8 m wide and 1.3 m high over four legs that stand outside the middle."""
+    """Return a body 1.8 m wide and 1.3 m high over four legs that stand outside the middle."""
     return trimesh.util.concatenate(
         [trimesh.creation.box(size, trimesh.transformations.translation_matrix(centre)) for centre, size in
          legged_boxes(clearance_m, length_m)]
@@ -31,14 +31,14 @@ def on_legs(clearance_m: float = 0.2, length_m: float = 4.5) -> trimesh.Trimesh:
 
 
 def legged_boxes(clearance_m: float = 0.2, length_m: float = 4.5) -> list[tuple[Vector, Vector]]:
-    """Centre and size of its boxes, metres, the ground at z = 0."""
+    """Return centre and size of its boxes, metres, the ground at z = 0."""
     body: tuple[Vector, Vector] = (0.0, 0.0, 0.65 + clearance_m / 2), (length_m, 1.8, 1.3 - clearance_m)
     return [body, *(((x, y, 0.3), (0.5, 0.2, 0.6)) for x in (-1.5, 1.5) for y in (-0.75, 0.75))]
 
 
 @dataclass(frozen=True)
 class Meshes:
-    """A source of these meshes."""
+    """Source of these meshes."""
 
     meshes: tuple[trimesh.Trimesh, ...]
 
@@ -53,7 +53,7 @@ class Meshes:
 
 
 def legged(lengths: Iterable[float]) -> Meshes:
-    """Bodies on legs of these lengths, otherwise alike."""
+    """Return bodies on legs of these lengths, otherwise alike."""
     return Meshes(tuple(on_legs(length_m=float(length)) for length in lengths))
 
 

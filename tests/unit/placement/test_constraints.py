@@ -37,7 +37,7 @@ def held(points: list[list[float]], theta: Tensor | None = None, object_points: 
     ],
 )
 def test_overlap_and_contact_at_two_centimetres(height_m: float, overlap_ok: bool, contact_ok: bool) -> None:
-    # One point under the middle of the floor, which lies at z = -0.75.
+    # One point under the middle of the floor, which is at z = -0.75.
     found = held([[0.0, 0.0, height_m]])
     assert (found.overlap_ok, found.contact_ok) == (overlap_ok, contact_ok)
     assert found.deepest_m == pytest.approx(-0.75 - height_m)
@@ -45,7 +45,7 @@ def test_overlap_and_contact_at_two_centimetres(height_m: float, overlap_ok: boo
 
 
 def test_contact_is_not_given_by_a_far_point() -> None:
-    # What the paper's sentence literally says would accept this.
+    # The literal reading of the paper's sentence would accept this.
     assert not held([[30.0, 0.0, 0.0]]).contact_ok
     assert not held([]).contact_ok and held([]).overlap_ok
 

@@ -1,4 +1,4 @@
-"""The plane under a vehicle: exact on planes, deaf to what stands on them, and absent where nothing bears one."""
+"""The plane under a vehicle: exact on planes, robust to objects on them, and absent where no ground bears it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_plane_is_found_as_it_is(slopes: tuple[float, float]) -> None:
 
 
 def stood(slopes: tuple[float, float], seed: int, nominal_z_m: float = -SENSOR_M) -> Placement:
-    """A box of 4.0 x 1.8 x 1.4 m placed on a scanned hillside."""
+    """Place a box of 4.0 x 1.8 x 1.4 m on a scanned hillside."""
     frame, settings = Frame((4.0, 1.8, 1.4)), preset("standard").with_(dtype=torch.float64)
     beams = Beams.from_arrays(slope_scan(*slopes).astype(np.float32), np.zeros(3))
     limits = PlacementLimits(8.0, 14.0, sector=(0.0, 1.0), attempts=40)
@@ -59,19 +59,19 @@ def stood(slopes: tuple[float, float], seed: int, nominal_z_m: float = -SENSOR_M
 @pytest.mark.parametrize("slopes", SLOPES)
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_vehicle_stands_on_its_wheels_on_a_slope(slopes: tuple[float, float], seed: int) -> None:
-    """Its up direction is the plane's normal, the corners of its box are on the plane."""
+    """The vehicle's up direction is the plane's normal, and the corners of its box are on the plane."""
     placed = stood(slopes, seed)
     normal = torch.tensor([-slopes[0], -slopes[1], 1.0], dtype=torch.float64)
     normal /= normal.norm()
     assert float(scene_R_object(placed.theta)[:, 2] @ normal) == pytest.approx(1.0, abs=1e-6)
     corners = torch.tensor([[x, y, -0.7] for x in (-2.0, 2.0) for y in (-0.9, 0.9)], dtype=torch.float64)
     above = (scene_from_object(corners, placed.theta) @ normal) + SENSOR_M * normal[2]
-    # Parallel to the plane; as near as snapping, which ends within 4 mm, and the scan's rounding bring it.
+    # Parallel to the plane, to the accuracy of snapping, which ends within 4 mm, and of the scan's rounding.
     assert np.ptp(above.numpy()) <= 0.001 and above.abs().max() <= 0.005
 
 
 def test_ground_that_the_nominal_height_misses_serves_where_nothing_else_does() -> None:
-    """The same draw is taken up again with the same heading, after every plain one was refused."""
+    """The same draw is tried again with the same heading, after every plain draw was refused."""
     placed = stood((0.0, 0.0), seed=0, nominal_z_m=-SENSOR_M - 1.1)
     plain = stood((0.0, 0.0), seed=0)
     assert placed.attempts == 40 and plain.attempts < 40
@@ -79,7 +79,7 @@ def test_ground_that_the_nominal_height_misses_serves_where_nothing_else_does() 
 
 
 def test_ground_that_climbs_away_from_its_nominal_height_is_found() -> None:
-    """Forty metres up a hill of nine in a hundred the ground is 3.6 m above that under the sensor."""
+    """The ground forty metres up a hill of nine in a hundred is 3.6 m above that under the sensor."""
     slopes, at = (0.09, 0.0), (40.0, 0.0)
     hill = raised(patch(at, slopes, 300), 3.6)
     plane = found(hill, at)
@@ -99,7 +99,7 @@ def test_what_stands_on_the_ground_does_not_tilt_it(slopes: tuple[float, float])
 
 @pytest.mark.parametrize("ground", [30, 60, 200])
 def test_the_roof_of_a_car_is_no_ground(ground: int) -> None:
-    """Whether the road around it or the roof has more returns."""
+    """The roof is no ground, whether the road around it has more returns or fewer."""
     roof = raised(patch(AT, (0.0, 0.0), 400, noise_m=0.01), 1.4)
     roof = roof[(np.abs(roof[:, 0] - AT[0]) < 1.8) & (np.abs(roof[:, 1] - AT[1]) < 0.8)]
     road = patch(AT, (0.02, 0.0), 4 * ground, noise_m=0.01, seed=3)
@@ -109,7 +109,7 @@ def test_the_roof_of_a_car_is_no_ground(ground: int) -> None:
 
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.03, -0.02)])
 def test_sparse_rings_bear_a_plane_together(slopes: tuple[float, float]) -> None:
-    """Fifty metres out the next scan line is 5 m away: one alone leaves the slope across it open."""
+    """The next scan line at fifty metres is 5 m away: one line alone leaves the slope across it open."""
     at = (50.0, 0.0)
     azimuth = np.linspace(-0.15, 0.15, 120)
     rings = [np.column_stack((r * np.cos(azimuth), r * np.sin(azimuth))) for r in (45.0, 50.0, 55.0)]
@@ -145,7 +145,7 @@ def test_too_little_bears_no_plane(points: np.ndarray) -> None:
 @pytest.mark.parametrize("angle", [0.4, 1.7, -2.9])
 @pytest.mark.parametrize("rise", [0.0, 1.9])
 def test_a_turned_scene_has_the_turned_plane(angle: float, rise: float) -> None:
-    """rise: as much as the nominal height does not explain, so that the second search answers."""
+    """rise: more than the nominal height explains, so that the second search answers."""
     bushes = raised(patch(AT, (0.0, 0.0), 40, 0.2, 4), 1.0)
     points = raised(np.vstack((patch(AT, (0.05, 0.03), 200, 0.02), bushes)), rise)
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -157,7 +157,7 @@ def test_a_turned_scene_has_the_turned_plane(angle: float, rise: float) -> None:
 
 
 def measured(scene: Scene) -> str:
-    """Distances of returns from the plane fitted to the others, at places that have ground, in centimetres."""
+    """Return distances of returns from the plane fitted to the others, at places with ground, in centimetres."""
     points = scene.points[scene.has_beam].astype(np.float64)
     rng, planes, errors = np.random.default_rng(0), 0, []
     for _ in range(40):

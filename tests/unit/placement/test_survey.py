@@ -1,4 +1,4 @@
-"""A survey of places says of each whether a car could stand there, and if not, for which reason."""
+"""A survey of places states for each place if a car fits there, and if not, the reason."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def plain() -> np.ndarray:
 
 
 def fenced() -> np.ndarray:
-    """Of fifteen beams fourteen end at a fence 5 m ahead, one goes through."""
+    """Return fifteen beams: fourteen end at a fence 5 m ahead, one passes through."""
     points = plain()
     blocked = (np.arange(len(points)) % 15 != 0) & (points[:, 0] > 5.0)
     points[blocked] *= 5.0 / points[blocked, :1]

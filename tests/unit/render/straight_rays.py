@@ -1,4 +1,4 @@
-"""Rays along x through fields with closed forms, and what samples every millimetre say of them."""
+"""Rays along x through closed-form fields, and samples of them every millimetre."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SPACING_M = 1e-3
 
 
 def along_x(*offsets: float, start: float = -3.0, length: float = 6.0) -> Rays:
-    """Rays in +x from x = start, at some y."""
+    """Return rays in +x from x = start, at these y."""
     origins = torch.tensor([[start, y, 0.0] for y in offsets], dtype=torch.float64)
     one = torch.ones(len(offsets), dtype=torch.float64)
     directions = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand(len(offsets), 3)
@@ -33,12 +33,12 @@ def field_of(metric: Field) -> ObjectField:
 
 
 def coarse(metric: Field, box: Box) -> SdfGrid:
-    """The coarse grid of a field over a box."""
+    """Return the coarse grid of a field over a box."""
     return SdfGrid.coarse(field_of(metric), box, torch.empty(0, 3, dtype=torch.float64))
 
 
 def samples_at(rays: Rays, metric: Field, ranges: list[float] | Tensor) -> RaySamples:
-    """Measured samples of every ray at some ranges."""
+    """Return measured samples of every ray at these ranges."""
     k = torch.as_tensor(ranges, dtype=torch.float64)
     rows = torch.arange(len(rays)).repeat_interleave(len(k))
     k = k.repeat(len(rays))
@@ -47,7 +47,7 @@ def samples_at(rays: Rays, metric: Field, ranges: list[float] | Tensor) -> RaySa
 
 
 def cold(rays: Rays, metric: Field, settings: RenderSettings = FLOAT64) -> Refinement:
-    """Refinement of rays of which nothing is known."""
+    """Refine rays without any samples."""
     field = field_of(metric)
     traced = trace(rays, field, settings)
     started = Rays(rays.index, rays.origins, rays.directions, traced.near_m, rays.far_m)
@@ -57,14 +57,14 @@ def cold(rays: Rays, metric: Field, settings: RenderSettings = FLOAT64) -> Refin
 
 
 def is_found(found: Refinement) -> Tensor:
-    """(M,) bool: on which rays a crossing came up."""
+    """Return (M,) bool: rays with a crossing."""
     mask = torch.zeros_like(found.open)
     mask[found.brackets.rows] = True
     return mask
 
 
 def crossings(found: Refinement, metric: Field, rays: Rays) -> Tensor:
-    """(M,) where brackets enter, to a millimetre; infinite without one."""
+    """Return (M,) ranges at which brackets enter, to a millimetre; infinite without a bracket."""
     b, entry = found.brackets, torch.full_like(rays.far_m, torch.inf)
     assert len(set(b.rows.tolist())) == len(b.rows), "one crossing a ray"
     for at, row in enumerate(b.rows.tolist()):
@@ -76,7 +76,7 @@ def crossings(found: Refinement, metric: Field, rays: Rays) -> Tensor:
 
 
 def chords(metric: Field, rays: Rays) -> list[list[tuple[float, float]]]:
-    """Of every ray the stretches inside the object, first to last, by samples every millimetre."""
+    """Return the intervals of every ray inside the object, first to last, by samples every millimetre."""
     found = []
     for row in range(len(rays)):
         k = torch.arange(float(rays.near_m[row]), float(rays.far_m[row]), _SPACING_M, dtype=torch.float64)
@@ -91,9 +91,9 @@ def chords(metric: Field, rays: Rays) -> list[list[tuple[float, float]]]:
 def check_against_dense(
     entry: Tensor, metric: Field, rays: Rays, least_m: float = 0.05, skipped: Tensor | None = None
 ) -> None:
-    """Every chord of at least `least_m` is found, and nothing is found in front of what is there.
+    """Check that every chord of at least `least_m` is found, and no entry in front of the first chord.
 
-    skipped: (M,) bool, rays of which nothing is asked.
+    skipped: (M,) bool, rays without this check.
     """
     for row, stretches in enumerate(chords(metric, rays)):
         if skipped is not None and bool(skipped[row]):
@@ -102,7 +102,7 @@ def check_against_dense(
         if long:
             assert float(entry[row]) <= long[0] + 2e-3, (row, stretches)
         first = stretches[0][0] if stretches else math.inf
-        # A chord shorter than the dense samples' spacing shows only in the field itself.
+        # A chord shorter than the spacing of the dense samples shows only in the field itself.
         if float(entry[row]) < first - 2e-3:
             k = entry[row] + torch.linspace(-1e-3, 1e-3, 401, dtype=torch.float64)
             assert float(metric(rays.at(k, torch.full((401,), row))).min()) < 0, (row, stretches)

@@ -1,4 +1,4 @@
-"""Beams: directions, ranges, rows that carry none."""
+"""Beams: directions, ranges, rows without a beam."""
 
 import numpy as np
 import pytest

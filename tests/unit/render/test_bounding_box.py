@@ -1,4 +1,4 @@
-"""The checked box holds the shape, also one that has outgrown its baseline."""
+"""The checked box holds the shape, also a shape that has outgrown its baseline."""
 
 import pytest
 import torch
@@ -8,7 +8,7 @@ from shift3d.render.culling import Box
 from shift3d.render.field.bounding_box import sdf_ball_box, verified_box
 from shift3d.render.field.object_field import ObjectField
 
-# The decoder's ball has radius 1.05 units: with 2.5 m a unit a car fits.
+# The decoder's ball has radius 1.05 units: with 2.5 m per unit a car fits.
 SIZE = torch.tensor(SHAPENET_FRAME.size_m).double()
 
 
@@ -60,7 +60,7 @@ def test_radius_reaches_the_farthest_corner() -> None:
 
 
 def _roof(height_m: float) -> ObjectField:
-    """Everything below a plane this much above the baseline's roof, but 30 cm above its ground."""
+    """Return the field below a plane this much above the baseline's roof, but 30 cm above its ground."""
     top = float(SIZE[2]) / 2 + height_m
     lowest = -float(SIZE[2]) / 2 + 0.3
 

@@ -1,4 +1,4 @@
-"""From predicted hits to hits: roots of closed forms, and none where there is none within reach."""
+"""From predicted hits to hits: roots of closed forms, and none if none is within reach."""
 
 import pytest
 import torch

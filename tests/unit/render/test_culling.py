@@ -1,4 +1,4 @@
-"""Culling: which beams, and which stretch of them."""
+"""Culling: the remaining beams, and the remaining interval of each."""
 
 import numpy as np
 import torch

@@ -1,6 +1,6 @@
-"""Hard contexts that rest on no single line: what each preset is for, sunk objects, thin parts with a grid.
+"""Hard contexts that depend on no single line: purpose of each preset, sunk objects, thin parts with a grid.
 
-Those that do rest on one are in the catalogue, tests/hard_cases.
+Contexts that do depend on one line are in the catalogue, tests/hard_cases.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ AT_TEN = torch.tensor([10.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 
 
 def one_beam(end_x: float = 30.0, start_x: float = 0.0) -> Beams:
-    """A beam along +x."""
+    """Return a beam along +x."""
     return Beams.from_arrays(np.array([[end_x, 0.0, 0.0]]), np.array([start_x, 0.0, 0.0]))
 
 
@@ -30,7 +30,7 @@ def draw(beams: Beams, metric: Field, theta: Tensor = AT_TEN, settings: RenderSe
 
 
 def test_a_chord_shorter_than_the_papers_step_is_a_matter_of_chance_there_alone() -> None:
-    # A mirror 3 cm thick, at 50 phases: the paper's 0.1 m step sees about a third, the fast march all of them.
+    # A mirror 3 cm thick, at 50 phases: the paper's 0.1 m step finds about a third, the fast march all of them.
     found = {"paper": 0, "fast": 0}
     mirror = box((0.015, 0.5, 0.5))
     for phase in np.linspace(0.0, 0.1, 50, endpoint=False):
@@ -41,7 +41,7 @@ def test_a_chord_shorter_than_the_papers_step_is_a_matter_of_chance_there_alone(
 
 
 def test_of_three_roots_in_one_step_the_paper_takes_one_on_the_way_in() -> None:
-    # Two plates 3 cm apart within one step: any way in may come out of a bisection, no way out.
+    # Two plates 3 cm apart within one step: a bisection may return either entry, but no exit.
     plates = union(box((0.015, 0.5, 0.5), (0.0, 0.0, 0.0)), box((0.3, 0.5, 0.5), (0.345, 0.0, 0.0)))
     paper = draw(one_beam(), plates, settings=PAPER)
     assert min(abs(float(paper.range_m[0]) - x) for x in (9.985, 10.045)) < 1e-4
@@ -76,7 +76,7 @@ def test_no_beam_is_made_up_for_a_missing_return(settings: RenderSettings) -> No
 
 def test_an_sdf_grid_loses_no_hit_on_thin_parts() -> None:
     thin = union(car(), box((0.02, 0.12, 0.08), (0.9, 1.0, 0.25)))
-    # The baseline's box holds its mirrors: a plate this thin that outgrew it could hide from the box's check.
+    # The baseline's box holds its mirrors: a plate this thin outside the box could escape the box's check.
     frame = replace(SHAPENET_FRAME, size_m=(4.4, 2.3, 1.5))
     field = in_frame(thin, frame)
     grid = SdfGrid.of(field, frame, FAST)

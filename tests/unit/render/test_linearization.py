@@ -1,4 +1,4 @@
-"""Hits predicted from the derivatives of the step before, and gradients from the very same derivatives."""
+"""Hits predicted from the derivatives of the step before, and gradients from these same derivatives."""
 
 from collections.abc import Callable
 
@@ -32,19 +32,19 @@ def insert(
     warm: Rendering | None = None,
     through: Callable[[Field], AnyField] = lambda field: field,
 ) -> Rendering:
-    """The SUV of a code at a pose, from where another rendering ended."""
+    """Render the SUV of a code at a pose, warm from another rendering."""
     field = through(DECODER.field(code))
     return render(beams(), field, theta, SUV, STANDARD, None if warm is None else warm.warm)
 
 
 def toward(rendering: Rendering, *inputs: Tensor) -> list[Tensor]:
-    """Gradients of a loss that weighs every hit differently."""
+    """Return gradients of a loss that weighs every hit differently."""
     points = rendering.points[rendering.hit_mask]
     return list(torch.autograd.grad((points * points.detach().sin()).sum(), inputs))
 
 
 def test_gradients_are_the_plain_ones() -> None:
-    """A decoder's closed form against autograd through the whole decoder, which any other field takes."""
+    """A decoder's closed form is compared with autograd through the whole decoder, which any other field uses."""
     found = []
     for through in (lambda field: field, lambda field: lambda x: field(x)):
         code, theta = CODE.clone().requires_grad_(), THETA.clone().requires_grad_()
@@ -68,7 +68,7 @@ def test_gradients_of_a_followed_rendering_are_those_of_a_fresh_one() -> None:
 
 
 def test_small_steps_of_code_and_pose_are_predicted() -> None:
-    """Most of the way is known beforehand, and three of four hits within a millimetre."""
+    """The prediction covers most of the distance, and three of four hits are within a millimetre."""
     direction = torch.randn(CODE.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     theta = THETA + torch.tensor([0.01, -0.005, 0.01, 0.002, 0.001, 0.0], dtype=torch.float64)
     first = insert(CODE.clone().requires_grad_())
@@ -88,7 +88,7 @@ def test_small_steps_of_code_and_pose_are_predicted() -> None:
 
 
 def test_a_plate_is_predicted_exactly() -> None:
-    """g is linear in place and bias: the face is where the derivatives say, to what the tanh bends."""
+    """The derivatives predict the face up to the curvature of tanh, because g is linear in place and bias."""
     weight = torch.tensor([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], dtype=torch.float64)
     out = torch.ones(1, 2, dtype=torch.float64)
 
@@ -107,7 +107,7 @@ def test_a_plate_is_predicted_exactly() -> None:
 
 
 def test_a_code_that_no_formula_knows_is_followed_all_the_same() -> None:
-    """Of a field that is no decoder's the code's part is not predicted; its gradient is that of a fresh rendering."""
+    """The code's part is not predicted if the field is no decoder; its gradient is that of a cold rendering."""
     start = torch.tensor([0.3, -0.2, 0.1, 0.5, -0.4, 0.8], dtype=torch.float64)
     warm = None
     for step in range(3):

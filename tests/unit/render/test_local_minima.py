@@ -1,4 +1,4 @@
-"""What lies between the samples of a ray is found where it nears the surface, and taken for what it is."""
+"""Local minima between the samples of a ray are searched near the surface, and classified correctly."""
 
 import math
 
@@ -14,13 +14,13 @@ RAY = along_x(0.0, start=0.0, length=10.0)
 
 
 def look(metric: Field, last: float = 8.0, hit_m: float = math.nan, settings: RenderSettings = FLOAT64) -> Refinement:
-    """What comes of one ray along x that was sampled every 2 cm up to a place."""
+    """Refine one ray along x that was sampled every 2 cm up to a range."""
     samples = samples_at(RAY, metric, [x / 50 for x in range(round(50 * last))])
     return refine(samples, RAY, torch.full((1,), hit_m, dtype=torch.float64), field_of(metric), settings)
 
 
 def valley(at: float, depth: float, slope: float = 0.3) -> Field:
-    """|x - at| slope - depth: below zero on a chord of 2 depth / slope."""
+    """Return |x - at| slope - depth: below zero on a chord of 2 depth / slope."""
     return lambda x: slope * (x[:, 0] - at).abs() - depth
 
 

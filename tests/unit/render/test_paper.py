@@ -15,7 +15,7 @@ THETA = torch.tensor([11.0, -6.0, -0.98, 2.1, 0.0, 0.0], dtype=torch.float64)
 
 
 def agree(fast: Rendering, plain: Rendering, limb_share: float, depth_p99_m: float) -> None:
-    """The paper's 0.1 m step misses chords shorter than itself, so it may only have fewer hits."""
+    """Check agreement. The paper's 0.1 m step misses chords shorter than itself, so it may only have fewer hits."""
     hits = int(plain.hit_mask.sum())
     assert hits > 100
     assert int((plain.hit_mask & ~fast.hit_mask).sum()) == 0
@@ -43,7 +43,7 @@ def test_on_an_analytic_car() -> None:
 
 
 def test_a_beam_without_a_return_is_marched_no_farther_than_the_sphere() -> None:
-    """It hits what a beam that ends just behind the object hits."""
+    """The beam has the same hit as a beam that ends just behind the object."""
     field, settings = in_frame(car(), SHAPENET_FRAME), preset("paper").with_(dtype=torch.float64)
     near, far = (
         render(Beams.from_arrays(*sector_scan(tuple(THETA[:3]), far_m=far_m)), field, THETA, SHAPENET_FRAME, settings)
@@ -56,7 +56,7 @@ def test_a_beam_without_a_return_is_marched_no_farther_than_the_sphere() -> None
 
 
 def test_what_a_draft_leaves_out() -> None:
-    """Chords shorter than its step, and the last millimetres of depth."""
+    """A draft misses chords shorter than its step, and the last millimetres of depth."""
     beams = Beams.from_arrays(*ground_scan(rings=64, columns=1024))
     field = in_frame(car(), SHAPENET_FRAME)
     fine, draft = (render(beams, field, THETA, SHAPENET_FRAME, preset(name)) for name in ("standard", "draft"))

@@ -1,4 +1,4 @@
-"""First crossings along linear pieces: the same with a bound on the slope, with none, and with one that is wrong."""
+"""First crossings along linear pieces: the same with a bound on the slope, with none, and with a wrong one."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ EXACT = preset("reference")
 
 
 def plate(low: float, high: float, steepness: float = 1.0) -> Field:
-    """A plate low <= y <= high, sdf units, as a ReLU network: g = steepness * (|y - centre| - half thickness)."""
+    """Return a plate low <= y <= high, sdf units, as a ReLU network: steepness * (|y - centre| - half thickness)."""
     centre, half = (low + high) / 2, (high - low) / 2
     weight = torch.tensor([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
     bias = torch.tensor([-centre, centre], dtype=torch.float64)
@@ -28,7 +28,7 @@ def beams() -> Beams:
 
 
 def expected_range(scan: Beams, face: float) -> Tensor:
-    """Where each beam meets the plane y_object = face (m) of the object at THETA; infinite where it does not."""
+    """Return the range of each beam to the plane y_object = face (m) of the object at THETA; infinite without a hit."""
     cos, sin = np.cos(0.4), np.sin(0.4)
     normal = torch.tensor([-sin, cos, 0.0], dtype=torch.float64)
     start = (scan.origins - THETA[:3]) @ normal
@@ -47,7 +47,7 @@ def test_no_plate_is_too_thin(thickness_m: float) -> None:
     hits = found.hit_mask
     assert hits.sum() > 100
     assert torch.equal(hits, every_piece.hit_mask)
-    # The sensor lies on one side or the other: the nearer face is hit.
+    # The sensor is on one side or the other: the nearer face is hit.
     nearer = torch.minimum(expected_range(scan, 0.0), expected_range(scan, thickness_m))
     assert torch.allclose(found.range_m[hits], nearer[hits], atol=1e-8)
     assert torch.allclose(found.range_m, every_piece.range_m, atol=1e-8)

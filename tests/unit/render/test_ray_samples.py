@@ -1,4 +1,4 @@
-"""What is carried along rays from one field to the next: expected where the grid tells, no more sure than that."""
+"""Samples carried along rays from one field to the next: predicted where the grid has values, with stated error."""
 
 import itertools
 import math
@@ -16,7 +16,7 @@ BOX = Box(torch.tensor([-3.0, -1.5, -1.5], dtype=torch.float64), torch.tensor([3
 
 
 def along_x(y: list[float], index: list[int], near: float = 0.0, far: float = 4.0) -> Rays:
-    """Rays in +x from x = -2, at some y."""
+    """Return rays in +x from x = -2, at these y."""
     origins = torch.tensor([[-2.0, at, 0.0] for at in y], dtype=torch.float64)
     directions = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand(len(y), 3)
     one = torch.ones(len(y), dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Rays known in parts: what a fresh search would find is found, and only where it has to be looked for."""
+"""Rays known in part: refinement finds the hit of a cold search, and samples only the unknown parts."""
 
 import math
 
@@ -35,7 +35,7 @@ def refined(
     hit_m: float = math.nan,
     settings: RenderSettings = FLOAT64,
 ) -> Refinement:
-    """Cover rays in a field, from what was seen of another; the evaluations that it took stand in `spent`."""
+    """Refine rays in a field from samples of another field; `spent` counts the evaluations."""
     grids = [coarse(metric, BOX) for metric in (before, after)]
     seen = cold(rays, before).samples
     samples = seen.predicted(rays, rays, torch.arange(len(rays)), *grids, 0.5)
@@ -95,7 +95,7 @@ def test_between_a_plain_approach_and_its_hit_hardly_anything_is_asked() -> None
     wall = box((0.3, 1.0, 1.0), (2.0, 0.0, 0.0))
     nearer = box((0.3, 1.0, 1.0), (1.98, 0.0, 0.0))
     assert not is_found(refined(along_x(0.0), wall, nearer, hit_m=4.68)).any() and spent[-1] <= 1
-    # A wall that the beam nearly runs along is no plain approach.
+    # A wall that is nearly parallel to the beam is no plain approach.
     flat = box((2.0, 1.0, 1.0), (0.0, 1.02, 0.0))
     assert is_found(refined(along_x(0.0), flat, box((2.0, 1.0, 1.0), (0.0, 0.99, 0.0)), hit_m=2.0)).all()
 
@@ -124,7 +124,7 @@ def test_what_is_no_number_is_undecided_and_what_starts_inside_stays_open() -> N
 def test_two_balls_of_which_one_moves_are_found_but_where_a_ray_grazes_them(
     first: tuple[float, float, float], second: tuple[float, float, float], moved: tuple[float, float, float]
 ) -> None:
-    """Balls no smaller than the spacing of the grid; what predicted samples leave open is 5 cm deep at most."""
+    """The balls are no smaller than the spacing of the grid; predicted samples leave at most 5 cm of depth open."""
 
     def balls(shift: tuple[float, float, float]) -> Field:
         x, y, r = (a + b for a, b in zip(first, shift))
@@ -144,7 +144,7 @@ def test_two_balls_of_which_one_moves_are_found_but_where_a_ray_grazes_them(
 
 
 def _balls(left: float, right: float) -> Field:
-    """A ball on each side of the ray along x; it passes the left one at 0.5 m - left, and likewise the right one."""
+    """Return a ball on each side of the ray along x, which passes the left ball at 0.5 m - left, likewise the right."""
     return union(sphere(left, (-1.5, 0.5, 0.0)), sphere(right, (1.5, 0.5, 0.0)))
 
 
@@ -152,7 +152,7 @@ def _balls(left: float, right: float) -> Field:
 def test_what_is_lower_than_was_predicted_lowers_the_other_predictions_of_its_ray(
     lowers: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Both balls grow by 15 cm, of which the error bounds know 1 cm. Only the right one, passed at 4 cm, is watched."""
+    """Both balls grow by 15 cm; error bounds cover 1 cm. Only the right ball, passed at 4 cm, is sampled."""
     if not lowers:
         lowering = _Nodes.with_measured
 

@@ -42,7 +42,7 @@ def _from(samples: RaySamples, shape: Field, hit_m: torch.Tensor, chosen: Render
 
 
 def _predicted(shape: Field, rays: Rays, spacing_m: float, error_m: float, seed: int) -> RaySamples:
-    """Samples off by up to a bound that they state, outside the object and within."""
+    """Return samples with errors up to a stated bound, outside and inside the object."""
     exact = samples_at(rays, shape, torch.arange(0.0, 6.0 + spacing_m, spacing_m).clamp_max(6.0))
     share = torch.rand(len(exact), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     off = (2.0 * share - 1.0) * error_m
@@ -50,7 +50,7 @@ def _predicted(shape: Field, rays: Rays, spacing_m: float, error_m: float, seed:
 
 
 def _hardly_outside(shape: Field, rays: Rays, spacing_m: float, error_m: float) -> torch.Tensor:
-    """(M,) how many places in front of the object, `spacing_m` apart, a prediction may take for one inside."""
+    """Count (M,) places in front of the object, `spacing_m` apart, that a prediction may take for inside."""
     exact = samples_at(rays, shape, torch.arange(0.0, 6.0 + spacing_m, spacing_m).clamp_max(6.0))
     g = exact.g.reshape(len(rays), -1)
     return ((g < error_m) & ((g < 0).cumsum(1) == 0)).sum(1)
@@ -79,8 +79,8 @@ def test_and_where_samples_are_predicted_with_bounds_that_hold(
     shape: Field, spacing: float, error: float, seed: int
 ) -> None:
     found = refine(_predicted(shape, RAYS, spacing, error, seed), RAYS, NOWHERE, field_of(shape), FLOAT64)
-    # Predictions of a place inside are asked one after the other. A ray on which many are wrong, as on a face that it
-    # runs along, is left to a search, and no other.
+    # Predicted inside places are evaluated one after the other. Only a ray with many wrong ones, as along a face, is
+    # left to a search.
     assert (_hardly_outside(shape, RAYS, spacing, error)[found.open] >= 8).all()
     check_against_dense(crossings(found, shape, RAYS), shape, RAYS, skipped=found.open)
 
@@ -88,7 +88,7 @@ def test_and_where_samples_are_predicted_with_bounds_that_hold(
 @settings(max_examples=60, deadline=None)
 @given(shape=SHAPE, error=st.sampled_from([0.005, 0.03]), seed=st.integers(0, 99))
 def test_what_lies_well_in_front_of_a_known_hit_is_found(shape: Field, error: float, seed: int) -> None:
-    """The last way into the object is given as the hit. Within `approach_m` of it a plain approach is not looked at."""
+    """The given hit is the last entry into the object. A plain approach within `approach_m` of it is not sampled."""
     stretches = chords(shape, RAYS)
     last = torch.tensor([each[-1][0] if each else math.nan for each in stretches], dtype=torch.float64)
     found = _from(_predicted(shape, RAYS, 0.1, error, seed), shape, last)
@@ -102,7 +102,7 @@ def test_what_lies_well_in_front_of_a_known_hit_is_found(shape: Field, error: fl
 
 
 def _gap(k_a: float, g_a: float, k_b: float, g_b: float, chosen: RenderSettings) -> float:
-    """What of an interval the spheres around its ends leave open, L being what the ends show where that is more."""
+    """Return the part of an interval outside the spheres of its ends. L is at least the slope that they show."""
     width = k_b - k_a
     steep = min(max(abs(g_a - g_b) / width, 1.0), 10.0)
     return width - chosen.step_safety * (_counts(g_a, chosen) + _counts(abs(g_b), chosen)) / steep
@@ -115,7 +115,7 @@ def _counts(g: float, chosen: RenderSettings) -> float:
 def _refined(
     g: Callable[[float], float], k_a: float, k_b: float, is_end: bool, chosen: RenderSettings
 ) -> list[tuple[float, float]]:
-    """The samples behind k_a up to k_b or the first one inside. is_end: k_b is the ray's, and sampled already."""
+    """Return samples after k_a up to k_b or the first one inside. is_end: k_b is the ray's end, already sampled."""
     g_a, g_b = g(k_a), g(k_b)
     if _gap(k_a, g_a, k_b, g_b, chosen) > (0.0 if is_end and g_b >= 0 else chosen.step_m):
         steep = min(max(abs(g_a - g_b) / (k_b - k_a), 1.0), 10.0) / chosen.step_safety
@@ -136,7 +136,7 @@ def test_all_rays_at_once_are_refined_as_each_alone_interval_by_interval(shape: 
         def g(k: float, row: int = row) -> float:
             return float(shape(RAYS.at(torch.tensor([k], dtype=torch.float64), torch.tensor([row]))))
 
-        # The ray's end is sampled; only then it is told whether the interval in front of it is open.
+        # The ray's end is sampled first; then the interval in front of the end is tested for coverage.
         samples = [(0.0, g(0.0)), *_refined(g, 0.0, 6.0, False, chosen)]
         inside = samples[-1][1] < 0
         mine = found.samples.select(found.samples.rows == row)

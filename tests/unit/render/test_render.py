@@ -44,7 +44,7 @@ def test_depth_on_a_box_through_pose_and_scale_by_hand(settings: RenderSettings)
     # A 4 x 2 x 1 m box at x = 10, turned by 90 degrees: its long side faces the sensor at x = 10 - 1.
     frame = Frame((4.0, 2.0, 1.0), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
     theta = torch.tensor([10.0, 0.0, 0.0, math.pi / 2, 0.0, 0.0], dtype=torch.float64)
-    # Seen under the edge of the front face: y in [-2, 2], z in [-0.5, 0.5] at x = 9.
+    # Seen below the edge of the front face: y in [-2, 2], z in [-0.5, 0.5] at x = 9.
     targets = np.array([[9.0, 1.98, 0.0], [9.0, -1.98, 0.48], [9.0, 2.05, 0.0], [9.0, 0.0, 0.55]])
     beams = Beams.from_arrays(targets * 3.0, np.zeros(3))
     rendering = render(beams, in_frame(box((2.0, 1.0, 0.5)), frame), theta, frame, settings)

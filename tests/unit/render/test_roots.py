@@ -1,4 +1,4 @@
-"""Root finding in brackets: right, safeguarded, and few evaluations."""
+"""Root finding in brackets: correct, safeguarded, and with few evaluations."""
 
 from collections.abc import Callable
 

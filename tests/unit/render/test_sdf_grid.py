@@ -1,4 +1,4 @@
-"""Grids of a field: exact where the field is linear, and honest about what it cannot tell."""
+"""Grids of a field: exact if the field is linear, and with a valid error bound."""
 
 import torch
 from analytic_fields import SHAPENET_FRAME, box, car, ground_scan, in_frame, sphere
@@ -66,7 +66,7 @@ def test_what_the_grid_tells_along_a_ray_is_so() -> None:
     x = rays.at(rays.near_m)[:, None] + k[:, None] * rays.directions[:, None]
     g = torch.stack([metric(line) for line in x]).masked_fill(k > (rays.far_m - rays.near_m)[:, None], torch.inf)
     first = torch.where((g < 0).any(1), k[(g < 0).byte().argmax(1)], torch.inf)
-    # Nothing hides between samples, and each is off by the error bound at most.
+    # No crossing hides between samples, and each is off by at most the error bound.
     of, at, values = readings.samples()
     assert float((values - metric(rays.at(at, of))).abs()[values < 0.09].max()) <= readings.error_m
     rows, guess, slope = readings.crossings(STANDARD.approach_slope)

@@ -18,7 +18,7 @@ def scan() -> Beams:
 
 
 def same(a: Rendering, b: Rendering) -> None:
-    # At the limb a followed hit may sit on a chord below the 2 cm that a fresh march is sure to find.
+    # At the limb a warm hit may be on a chord below the 2 cm that a cold march is sure to find.
     differs = (a.hit_mask ^ b.hit_mask) | ((a.range_m - b.range_m).abs() > 1e-3)
     assert int(differs.sum()) <= 0.003 * b.object_points
 
@@ -28,8 +28,8 @@ def test_the_same_again_costs_less_than_a_third() -> None:
     cold = render(beams, field, THETA, SHAPENET_FRAME, STANDARD)
     warm = render(beams, field, THETA, SHAPENET_FRAME, STANDARD, cold.warm)
     same(warm, cold)
-    # A hit is evaluated once, and once more where a local minimum or a ledge lies in front of it; 26 beams skim the
-    # surface by less than 3 mm on their way and are always marched, and their local minima searched.
+    # A hit is evaluated once, and again if a local minimum or a ledge is in front of it; 26 beams skim the surface by
+    # less than 3 mm and are always marched, and their local minima searched.
     assert warm.evaluations * 3 < cold.evaluations
     assert warm.evaluations <= cold.object_points * 4.5
 
@@ -100,12 +100,12 @@ def test_warm_starts_from_nothing_hit() -> None:
     cold = render(beams, field, THETA, SHAPENET_FRAME, STANDARD)
     again = render(beams, nothing, THETA, SHAPENET_FRAME, STANDARD, cold.warm)
     assert again.object_points == 0
-    # A shape that comes back is seen at once: without a hit there is no measure of how far a surface moved.
+    # A shape that returns is found at once: without a hit the renderer has no bound on a surface's movement.
     same(render(beams, field, THETA, SHAPENET_FRAME, STANDARD, again.warm), cold)
 
 
 def test_a_part_that_comes_up_where_no_beam_came_nearest() -> None:
-    """One ball keeps each beam's lowest place while another grows into it elsewhere, 6 cm a step."""
+    """One ball keeps each beam's lowest place while another grows into the beam elsewhere, 6 cm a step."""
     beams, warm, theta = scan(), None, torch.tensor([9.0, 0.0, -0.98, 1.57, 0.0, 0.0], dtype=torch.float64)
     for step in range(9):
         shape = in_frame(
@@ -117,7 +117,7 @@ def test_a_part_that_comes_up_where_no_beam_came_nearest() -> None:
 
 
 def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_sees_them() -> None:
-    """The shipped decoder along a straight way through its codes, gradients wanted: 5 steps, 3 to 20 cm each."""
+    """The shipped decoder moves straight through its codes, with gradients: 5 steps, 3 to 20 cm each."""
     decoder, vehicles, scale = load_decoder(), baseline_vehicles(), 0.1
     start, end = (torch.from_numpy(vehicles[name].latent_code) for name in ("coupe", "suv"))
     vehicle, settings, beams = vehicles["coupe"], preset("standard"), scan()
@@ -144,7 +144,7 @@ def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_s
 def test_a_hidden_unit_that_is_on_at_some_hits_alone_is_kept(
     aside_m: float, rise: float, narrow: float, hits: tuple[int, int]
 ) -> None:
-    """A wall with a bump in the way of some beams, between the places that a search surveys beforehand."""
+    """A wall has a bump in the path of some beams, between the places that a search surveys beforehand."""
     centre, eye = torch.tensor([0.0, 0.035 + aside_m / 2.5, 0.03], dtype=torch.float64), torch.eye(3).double()
     first, first_bias = torch.cat((eye, -eye)), torch.cat((-centre, centre))
     hidden, out = torch.zeros(64, 6, dtype=torch.float64), torch.zeros(1, 64, dtype=torch.float64)

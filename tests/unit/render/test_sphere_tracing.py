@@ -1,4 +1,4 @@
-"""Sphere tracing: what must not be missed, what counts as a miss, and the plain reference of the default solver."""
+"""Sphere tracing: surfaces that it must find, the definition of a miss, and the default solver's plain reference."""
 
 import math
 from dataclasses import replace
@@ -48,7 +48,7 @@ def test_the_default_solver_and_its_plain_reference_agree(name: str, beams: Beam
     plain, default = (drawn(beams, SHAPES[name], each) for each in (PLAIN, FINE))
     apart = (plain.hit_mask != default.hit_mask) | ((plain.range_m - default.range_m).abs() > 1e-5)
     assert default.object_points > 150 and int(apart.sum()) <= 0.01 * default.object_points
-    # Only on chords that the plain one may step over.
+    # Only on chords that the plain reference may step over.
     rows = torch.nonzero(apart).squeeze(1)
     for each in chords(SHAPES[name], object_rays(beams, rows, THETA)):
         assert each == [] or each[0][1] - each[0][0] < PLAIN.step_m + 2e-3
@@ -100,7 +100,7 @@ def test_brackets_hold_the_first_of_several_surfaces() -> None:
 
 @pytest.mark.parametrize("thickness_m", [0.02, 0.03, 0.05])
 def test_plates_of_two_centimetres_are_not_missed(thickness_m: float) -> None:
-    # A plate square to the beam, at 400 different phases of the march.
+    # A plate perpendicular to the beam, at 400 different phases of the march.
     positions = torch.linspace(-1.0, 1.0, 401)
     for x in positions[:: 401 // 40].tolist():
         found = march(box((thickness_m / 2, 3.0, 1.0), (x, 0.0, 0.0)), torch.linspace(-1, 1, 11))
@@ -117,7 +117,7 @@ def test_short_chords_through_a_sphere_are_mostly_found() -> None:
 
 
 def test_a_short_chord_is_bracketed_where_it_begins() -> None:
-    # A local minimum that is found between two samples: the crossing wanted is the way in, not the way out.
+    # A local minimum found between two samples: the wanted crossing is the entry, not the exit.
     chord = torch.linspace(0.002, 0.02, 200).double()
     b = march(sphere(1.0), (1.0 - (chord / 2) ** 2).sqrt()).brackets
     entry, leave = (5.0 - chord / 2)[b.rows], (5.0 + chord / 2)[b.rows]

@@ -1,4 +1,4 @@
-"""Shapes of the shipped decoder's subspace whose coordinates are known, as points and as scenes."""
+"""Shapes of the shipped decoder's subspace with known coordinates, as points and as scenes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def coordinates(seed: int) -> Array:
 
 
 def surface_points(u: Array, count: int = 300, seed: int = 0) -> Array:
-    """Points on the surface of known coordinates to a tenth of a millimetre, object frame, metres."""
+    """Return points on the surface of known coordinates to a tenth of a millimetre, object frame, metres."""
     rng = np.random.default_rng(seed)
     outer = rng.standard_normal((2 * count, 3)) * (0.5, 0.25, 0.2)
     x = torch.from_numpy(outer).float()
@@ -45,7 +45,7 @@ def turned(points: Array, yaw: float) -> Array:
 
 
 def scene_of(points: Array, box: Array, around: Array | None = None) -> Scene:
-    """Points of the object frame of one labelled vehicle, and others of the scene, seen from the origin."""
+    """Return a scene of one labelled vehicle's object-frame points, and other points, seen from the origin."""
     placed = turned(points, box[6]) + box[:3]
     every = placed if around is None else np.concatenate((placed, around))
     return Scene(
@@ -59,6 +59,6 @@ def scene_of(points: Array, box: Array, around: Array | None = None) -> Scene:
 
 
 def towards(points: Array, sensor: Array, u: Array) -> Array:
-    """Those points of a surface that face a sensor, both in the object frame."""
+    """Return the points of a surface that face a sensor, both in the object frame."""
     _, normal, _ = subspace().linearized(u, torch.from_numpy(points / SCALE_M).float())
     return points[np.einsum("ij,ij->i", normal.double().numpy(), sensor - points) > 0.0]

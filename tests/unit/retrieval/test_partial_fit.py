@@ -1,4 +1,4 @@
-"""A fit gives known shapes back, depends on nothing else, and says what it does not know."""
+"""A fit recovers known shapes, depends on nothing else, and states its uncertainty."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_what_was_not_seen_stays_uncertain_and_more_points_say_more() -> None:
 
 
 def test_no_place_that_beams_passed_through_lies_deep_inside() -> None:
-    """The same few points behind; beams that passed above the bonnet and the boot of a low car tell of its roof."""
+    """The rear points are the same and few; beams that passed over a low car's bonnet and boot bound its roof."""
     u = coordinates(9)
     points = towards(surface_points(u), np.array([-20.0, 0.0, 0.5]), u)[:25]
     before = fitted(points)

@@ -1,4 +1,4 @@
-"""The folded subspace is the decoder, and its derivatives are those of its values."""
+"""The folded subspace equals the decoder, and its derivatives are those of its values."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_derivatives_are_those_of_finite_differences() -> None:
     _, at_point, by_u = subspace().linearized(u, x)
     for axis in range(subspace().components):
         ahead, behind = (subspace().field(u + sign * step * np.eye(10)[axis])(x) for sign in (1, -1))
-        # The median: the decoder is linear in pieces, and a step may cross into another one.
+        # The median: the decoder is piecewise linear, and a step may cross into another piece.
         assert float(((ahead - behind) / (2 * step) - by_u[:, axis]).abs().median()) < 2e-4
     moved = subspace().field(u)(x + torch.tensor([step, 0.0, 0.0])) - subspace().field(u)(x)
     assert float((moved / step - at_point[:, 0]).abs().median()) < 5e-3

@@ -1,4 +1,4 @@
-"""Crops: what is in the box, what beams passed through, and what is refused or flagged."""
+"""Crops: points in the box, beams that passed through it, and refused or flagged crops."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def reconstructor() -> Reconstructor:
 
 @functools.cache
 def seen(count: int = 300) -> np.ndarray:
-    """What the sensor at the origin sees of a known shape in a box."""
+    """Return the sensor's view, from the origin, of a known shape in a box."""
     return towards(surface_points(U, count), np.array([-14.0, 5.0, 1.5]), U)
 
 

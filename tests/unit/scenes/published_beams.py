@@ -1,4 +1,4 @@
-"""Elevations of sensors' beams in degrees, as their makers publish them."""
+"""Elevations of sensors' beams in degrees, as published by their makers."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ VLP_32C = (
     *(-4.0, -4.667, 1.667, 1.0, -3.667, -3.333, 3.333, 2.333, -2.667, -3.0, 7.0, 4.667, -2.333, -2.0, 15.0, 10.333),
     -1.333,
 )
-# Calibration of one Pandar64, channel by channel. Source: angle_correction_Pandar64.csv in Hesai's General SDK. It lies
+# Calibration of one Pandar64, channel by channel. Source: angle_correction_Pandar64.csv in Hesai's General SDK. It is
 # 0.079 degrees below the SDK's table of nominal elevations, channel 58 (-9.885 there) by 0.239.
 PANDAR64_CALIBRATED = (
     *(14.803, 10.953, 7.98, 4.978, 2.961, 1.949, 1.781, 1.609, 1.443, 1.272, 1.105, 0.934, 0.767, 0.596, 0.429, 0.258),

@@ -23,14 +23,14 @@ JITTER = 2.0**-11
 
 
 def beams(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ranges, azimuths and elevations of the points from their own origins."""
+    """Return ranges, azimuths and elevations of the points from their own origins."""
     away = scene.points.astype(np.float64) - scene.origins
     reach = np.linalg.norm(away, axis=1)
     return reach, np.arctan2(away[:, 1], away[:, 0]), np.arcsin(away[:, 2] / reach)
 
 
 def jitter_m(scene: Scene, mount: tuple[float, float, float] = UP) -> np.ndarray:
-    """(N,) most that rounding to float16 moved a point, metres."""
+    """Return (N,) the largest displacement of a point by rounding to float16, metres."""
     return JITTER * np.linalg.norm(scene.points + np.array(mount), axis=1) + 1e-3
 
 
@@ -133,7 +133,7 @@ def cut(part: str) -> Spoil:
 
 
 def poses_until(offset_ns: int) -> Callable[[pa.Table], pa.Table]:
-    """Without the poses later than a time after the second sweep's start."""
+    """Return a change that drops the poses later than a time after the second sweep's start."""
     return lambda table: table.filter(pc.less_equal(table["timestamp_ns"], START + PERIOD + offset_ns))
 
 
@@ -223,7 +223,7 @@ def test_real_boxes_hold_the_points_that_their_labels_count(real_data: Callable[
 
 
 def test_real_beams_turn_clockwise_and_keep_their_elevation(real_data: Callable[[str], Path]) -> None:
-    """The order in azimuth is that of the firing times but for the jitter; a beam's elevation is one angle."""
+    """The azimuths are in the order of the firing times, except for jitter; each beam has one elevation."""
     root = real_data("argoverse2") / "val"
     scenes = Argoverse2Scenes(root)
     name = scenes.names()[0]
@@ -241,7 +241,7 @@ def test_real_beams_turn_clockwise_and_keep_their_elevation(real_data: Callable[
         step = np.mod(np.diff(azimuth[rows]) + np.pi, 2 * np.pi) - np.pi
         assert (step <= bound[rows][1:] + bound[rows][:-1]).all()
         spreads.append(np.ptp(np.percentile(up[rows], (25, 75))))
-    assert np.degrees(np.median(spreads)) < 0.12  # 0.22 where the two LiDARs change places
+    assert np.degrees(np.median(spreads)) < 0.12  # 0.22 if the two LiDARs are swapped
 
 
 def test_a_file_in_place_of_the_folder(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A map's ground: heights and drivable areas of a log of Argoverse 2 come to lie where its scenes have them."""
+"""A map's ground: heights and drivable areas of an Argoverse 2 log match the frame of its scenes."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ CORNER = (5060.0, 2300.0)  # city frame, of the raster's first cell
 
 
 def hill(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Height of the ground in the city."""
+    """Return the height of the ground in the city."""
     return 66.5 + 0.04 * (x - 5172.0) - 0.03 * (y - 2419.0)
 
 
 def write_map(log: Path) -> None:
-    """A raster of the hill and a road 14 m wide along the city's x axis, in the data set's schema."""
+    """Write a raster of the hill and a road 14 m wide along the city's x axis, in the data set's schema."""
     (log / "map").mkdir()
     column, row = np.meshgrid(np.arange(800), np.arange(800))
     x, y = CORNER[0] + (column + 0.5) * CELL_M, CORNER[1] + (row + 0.5) * CELL_M
@@ -59,7 +59,7 @@ def log(tmp_path: Path) -> Path:
 
 
 def in_city(x: float, y: float) -> np.ndarray:
-    """A place of the scene, level with its origin, in the city."""
+    """Return a place of the scene, level with its origin, in the city."""
     return (written_pose(START + PERIOD) @ [*(np.array([x, y, 0.0]) + UP), 1.0])[:3]
 
 
@@ -134,7 +134,7 @@ def test_places_keep_to_the_road_and_start_from_the_maps_height() -> None:
     assert set(found.outcomes) == {"free", "off_road"}
     assert (np.abs(found.xy_m[found.free, 1]) < 7.5).all()
     assert (np.abs(found.xy_m[~found.free, 1]) > 5.0).all()
-    # The nominal height alone finds no ground here; the map's does.
+    # The nominal height alone finds no ground here; the map does.
     xy = np.stack(np.meshgrid(np.arange(-40.0, 40.0, 0.3), np.arange(-40.0, 40.0, 0.3)), axis=-1).reshape(-1, 2)
     ground = np.column_stack((xy, np.full(len(xy), -1.73)))
     wrong = survey(PlacementContext(beams, 9.0), limits, rules)
@@ -156,7 +156,7 @@ def test_a_vehicle_is_put_on_the_road(seed: int) -> None:
 
 
 def test_the_map_of_the_real_log_is_level_with_its_returns(real_data: Callable[[str], Path]) -> None:
-    """Points of lane boundaries 43 and 55 m behind, as its map has them in the city, lie on the fitted ground."""
+    """Points of lane boundaries 43 and 55 m behind, from the map in the city frame, are on the fitted ground."""
     root = real_data("argoverse2") / "val"
     scene = Argoverse2Scenes(root).load(Argoverse2Scenes(root).names()[0])
     name, _, timestamp = scene.scene_id.rpartition("-")

@@ -1,4 +1,4 @@
-"""KITTI frames: conventions by hand-computed cases, real frames where they are present, bad files refused."""
+"""KITTI frames: conventions by hand-computed cases, real frames if present, bad files refused."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.kitti.files import Calibration, lidar_box, read_labels
 from shift3d.scenes.kitti.scenes import KittiScenes
 
-# Camera x = -lidar y, camera y = -lidar z, camera z = lidar x, no offset: the axes of the two frames, nothing else.
+# Camera x = -lidar y, camera y = -lidar z, camera z = lidar x, no offset: only the axes of the two frames differ.
 AXES = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 PROJECTION = np.array([[700.0, 0.0, 600.0, 0.0], [0.0, 700.0, 180.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 CAMERA = Calibration(PROJECTION, AXES)
 
 
 def test_camera_box_to_lidar_box_by_hand() -> None:
-    """A car 20 m ahead, 3 m to the right, standing 1.7 m below the camera, 1.5 m high, nose to the right."""
+    """The car is 20 m ahead, 3 m to the right, 1.7 m below the camera, 1.5 m high, nose to the right."""
     box = lidar_box([1.5, 1.6, 4.0], [3.0, 1.7, 20.0], 0.0, CAMERA)
     np.testing.assert_allclose(box, [20.0, -3.0, -1.7 + 0.75, 4.0, 1.6, 1.5, -np.pi / 2], atol=1e-12)
 
@@ -182,7 +182,7 @@ def test_real_frames_load(real_data: Callable[[str], Path]) -> None:
 
 
 def test_real_beams_turn_counter_clockwise_ring_by_ring_downwards(real_data: Callable[[str], Path]) -> None:
-    """Ranges from the origin are the file's; the order of azimuths is that of 64 turns, each below the one before."""
+    """Ranges from the origin are the file's; azimuths are in the order of 64 turns, each below the one before."""
     root = real_data("kitti")
     for name in KittiScenes(root).names()[:3]:
         scene = KittiScenes(root).load(name)
@@ -205,7 +205,7 @@ def test_labelled_boxes_hold_their_points_and_stand_on_the_ground(real_data: Cal
     assert near.sum() == 3
     for car, count in zip(scene.labels.boxes[near], scene.labels.num_points[near], strict=True):
         assert points_in_boxes(scene.points, car[None]).sum() == count
-        # A wrong heading or centre would cut the car's points off; a box 30 cm larger holds hardly more.
+        # A wrong heading or centre would cut off the car's points; a box 30 cm larger holds hardly more.
         above = scene.points[scene.points[:, 2] > car[2] - car[5] / 2 + 0.3]
         larger = points_in_boxes(above, car[None], margin_m=0.3).sum()
         assert points_in_boxes(above, car[None]).sum() > 0.94 * larger

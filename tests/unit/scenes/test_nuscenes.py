@@ -36,7 +36,7 @@ from shift3d.store.resolve import as_location
 
 
 def road_from_scene(time_s: float) -> np.ndarray:
-    """The vehicle's frame at the first key frame, from a scene at another time of the first drive."""
+    """Return the transform to the vehicle's frame at the first key frame from a scene at a time of the first drive."""
     start = np.linalg.inv(pose(*drive_at(0.0, 0)))
     now = start @ pose(*drive_at(time_s, 0))
     now[:3, 3] = (start @ global_SE3_lidar(time_s, 0))[:3, 3]
@@ -85,14 +85,14 @@ def test_joined_sweeps_lie_on_the_same_world_and_start_where_the_sensor_was(tmp_
     ages = np.unique(scene.time_s)
     np.testing.assert_allclose(ages, [-0.1, -0.05, 0.0], atol=1e-6)
     own = np.linalg.norm(scene.points - scene.origins, axis=1) < 2
-    assert own.sum() == 2 and (scene.time_s[own] == 0).all()  # of earlier sweeps the car's own roof is left out
+    assert own.sum() == 2 and (scene.time_s[own] == 0).all()  # the car's own roof is dropped from earlier sweeps
     placed = road_from_scene(3 * PERIOD_US * 1e-6)
     on_road = scene.points[~own] @ placed[:3, :3].T + placed[:3, 3]
     assert ((np.abs(on_road[:, 2]) < 1e-3) | (np.abs(np.abs(on_road[:, 1]) - 12.0) < 1e-3)).all()
     for age in ages:
         origin = scene.origins[scene.time_s == age]
         np.testing.assert_allclose(origin, np.broadcast_to([SPEED_M_S * age, 0, 0], origin.shape), atol=1e-4)
-    assert len(NuScenesScenes(tmp_path, sweeps=9).load("sample00").points) < len(scene.points) / 2  # none came before
+    assert len(NuScenesScenes(tmp_path, sweeps=9).load("sample00").points) < len(scene.points) / 2  # no earlier sweep
 
 
 def test_an_inserted_vehicle_moves_through_the_sweeps_as_it_drives(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_an_inserted_vehicle_moves_through_the_sweeps_as_it_drives(tmp_path: Pat
         rear = rendering.points.detach().numpy()[hit, 0] - speed * scene.time_s[hit]
         on_rear = np.abs(rear - 7.0) < 1e-5
         assert {*np.unique(scene.time_s[hit][on_rear])} == {*np.unique(scene.time_s)}
-        assert on_rear.mean() > 0.4  # the others lie on its roof and sides
+        assert on_rear.mean() > 0.4  # the others are on its roof and sides
         assert (rear > 7.0 - 1e-5).all() and (rear < 11.0 + 1e-5).all()
 
 
@@ -247,7 +247,7 @@ def test_folders_that_are_no_release(tmp_path: Path) -> None:
 
 
 def test_files_alone_are_one_sweep_each(tmp_path: Path) -> None:
-    """A detector of ten sweeps would otherwise be shown one, and nothing would say so."""
+    """A detector of ten sweeps would otherwise silently receive one."""
     scan(global_SE3_lidar(0.0, 0), 0).astype("<f4").tofile(tmp_path / "one.pcd.bin")
     assert NuScenesScenes(tmp_path, sweeps=1).names() == ["one"]
     with pytest.raises(InputError, match=r"no tables.*sweeps=10 cannot be joined.*scenes\.sweeps=1"):

@@ -20,7 +20,7 @@ LABELS = "12.0 3.0 -0.9 4.5 1.9 1.6 0.3 Car\n8.0 -5.0 -0.8 0.7 0.7 1.8 0.0 Pedes
 
 
 def frame(ground_z_m: float = -1.7, seed: int = 0) -> np.ndarray:
-    """Ground and some clutter, (N, 4) float32."""
+    """Return ground and some clutter, (N, 4) float32."""
     rng = np.random.default_rng(seed)
     reach, turn = rng.uniform(3.0, 40.0, 6000), rng.uniform(-np.pi, np.pi, 6000)
     z = np.where(rng.random(6000) < 0.8, ground_z_m + rng.normal(0, 0.02, 6000), rng.uniform(ground_z_m, 2.0, 6000))
@@ -50,7 +50,7 @@ def test_a_frame_is_read_in_file_order(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("sensor_m", [(0.0, 0.0, 0.0), (0.0, 0.0, 1.9)])
 def test_rows_of_zeros_are_beams_without_a_return(tmp_path: Path, sensor_m: tuple[float, float, float]) -> None:
-    """As organised clouds have them, here more of them than of returns."""
+    """Organised clouds have such rows; this cloud has more of them than of returns."""
     moved = frame()
     moved[:, :3] += sensor_m
     cloud = np.concatenate((np.zeros((8000, 4), np.float32), moved))
@@ -63,7 +63,7 @@ def test_rows_of_zeros_are_beams_without_a_return(tmp_path: Path, sensor_m: tupl
 
 
 def test_a_sensor_away_from_the_origin_becomes_the_origin(tmp_path: Path) -> None:
-    """The same frame as seen from the ground below the vehicle's rear axle."""
+    """The frame is the same, as seen from the ground below the vehicle's rear axle."""
     sensor = (1.2, 0.1, 1.9)
     moved = frame()
     moved[:, :3] += sensor

@@ -1,4 +1,4 @@
-"""Streets seen by another sensor's beams: the tables of the sensors, and the same street under all of them."""
+"""Streets under another sensor's beams: the tables of the sensors, and the same street under all of them."""
 
 from __future__ import annotations
 
@@ -74,15 +74,14 @@ def test_rows_go_down_and_columns_clockwise(name: str) -> None:
 
 @pytest.mark.parametrize("name", BEAM_NAMES)
 def test_the_street_is_the_same(name: str) -> None:
-    """Ground and vehicles where they are under the street's own sensor; returns within a metre of the ground's height
-    are those of the same ground."""
+    """Ground and vehicles stay; returns within a metre of the ground's height are those of the same ground."""
     own, other = scene(None), scene(name)
     assert other.ground_z_m == own.ground_z_m
     boxes = own.labels.of_class("vehicle")
     near = boxes[np.hypot(*boxes[:, :2].T) < 30.0]
     seen = other.labels.of_class("vehicle")
     apart = np.linalg.norm(near[:, None, :3] - seen[None, :, :3], axis=2).min(axis=1)
-    assert (apart < 1e-9).mean() > 0.7  # one behind another may meet no beam of a sensor
+    assert (apart < 1e-9).mean() > 0.7  # a vehicle behind another may meet no beam of a sensor
     assert points_in_boxes(other.points, boxes).any()
 
 

@@ -1,4 +1,4 @@
-"""A picture of a scene is a PNG that shows something."""
+"""A picture of a scene is a PNG with visible content."""
 
 from __future__ import annotations
 

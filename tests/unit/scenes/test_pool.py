@@ -1,4 +1,4 @@
-"""The pool of vehicle meshes: the cache on disk changes nothing but the time."""
+"""The pool of vehicle meshes: the cache on disk changes only the time."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_an_instance_is_hit_as_the_same_mesh_in_the_scene_frame_is(
 
 
 def test_leaves_stop_beams_exponentially() -> None:
-    """Through the middle of a ball of radius r with mean free path m, a share 1 - exp(-2 r / m) is stopped."""
+    """Beams pass through the middle of a ball of radius r; mean free path m stops a share 1 - exp(-2 r / m)."""
     sweep = Sweep.empty(HDL64)
     centre, radii = np.array([20.0, 0.0, 0.0]), np.full(3, 3.0)
     sweep.cast_near(centre, 3.0, functools.partial(hit_leaves, centre, radii, 2.0, np.random.default_rng(1)), 5)

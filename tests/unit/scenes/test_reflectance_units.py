@@ -1,4 +1,4 @@
-"""One scale of reflectance: recognised or told, never a scene's own, and refused where it is another."""
+"""One scale of reflectance: recognised or given, never a scene's own, and refused for another unit."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_what_is_on_neither_scale_is_refused(values: np.ndarray) -> None:
 
 
 def test_a_raw_scale_is_the_stated_one_and_not_the_scenes() -> None:
-    """Two scenes of one sensor, one without anything bright, are divided by the same number."""
+    """Two scenes of one sensor, one without any bright return, are divided by the same number."""
     assert full_reflectance(whole(60_000), WHERE, 65535.0) == full_reflectance(whole(900), WHERE, 65535.0) == 65535.0
 
 

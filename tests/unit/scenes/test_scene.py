@@ -1,4 +1,4 @@
-"""The Scene record refuses what cannot be rendered into, and its hash says when two scenes are the same."""
+"""The Scene record refuses unrenderable data, and its hash is the same for equal scenes."""
 
 from __future__ import annotations
 

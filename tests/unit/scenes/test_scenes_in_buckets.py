@@ -1,4 +1,4 @@
-"""Scenes of a bucket are those of the folder that was copied into it."""
+"""Scenes of a bucket equal those of the folder that was copied into it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Street scenes: the same bytes for the same name, labels that fit the points, and a sensor that acts like one."""
+"""Street scenes: the same bytes for the same name, labels that fit the points, and realistic sensors."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_labels_count_the_points_in_their_boxes(scenes: list[Scene]) -> None:
 
 
 def test_boxes_are_tight(scenes: list[Scene]) -> None:
-    """Hardly any point of a vehicle lies just outside its box, above the ground and below the roof's height."""
+    """Hardly any point of a vehicle is just outside its box, above the ground and below the roof's height."""
     for scene in scenes:
         boxes = scene.labels.of_class("vehicle")
         cores, shells = boxes.copy(), boxes.copy()

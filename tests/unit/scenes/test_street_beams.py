@@ -1,4 +1,4 @@
-"""Moving and mounted sensors, the law of power and second returns against closed forms, on walls made by hand."""
+"""Moving and mounted sensors, the law of power and second returns against closed forms, on handmade walls."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ mounts = pytest.mark.parametrize(
 
 
 def world(*parts: Part, foliage: tuple[tuple[int, Leaves], ...] = ()) -> World:
-    """Solid parts, numbered from 0, and leaves."""
+    """Return solid parts, numbered from 0, and leaves."""
     count = 0
     vertices, faces, material, item = [], [], [], []
     for number, part in enumerate(parts):
@@ -40,7 +40,7 @@ def world(*parts: Part, foliage: tuple[tuple[int, Leaves], ...] = ()) -> World:
 
 
 def wall(x: float, y: float = 0.0, width: float = 2000.0, material: Material = Material.FACADE) -> Part:
-    """Its near face at x; 2 m high enough for every beam on it at 20 m."""
+    """Return a wall with its near face at x; 2 m high enough for every beam on it at 20 m."""
     return box((0.01, width, 1000.0), (x + 0.005, y, -500.0), material)
 
 
@@ -57,11 +57,11 @@ def echoes(sweep: Sweep, compensated: bool) -> Echoes:
 
 @mounts
 def test_a_wall_ahead_seems_to_come_nearer_during_the_turn(sensor: Sensor, mount: Mount) -> None:
-    """As the sensor fires, a wall at x = 30 is 30 - v t ahead; at time 0 it is flat."""
+    """A wall at x = 30 is 30 - v t ahead of the sensor at its firing; converted to time 0 it is flat."""
     sweep = cast(world(wall(30.0)), sensor, mount)
     raw, flat = echoes(sweep, compensated=False), echoes(sweep, compensated=True)
     assert len(raw.points) > 4000
-    near = np.abs(flat.points[:, 1]) < 60.0  # of a beam along the wall, float32 knows the range to millimetres
+    near = np.abs(flat.points[:, 1]) < 60.0  # along a long wall, float32 resolves the range only to millimetres
     np.testing.assert_allclose(flat.points[near, 0], 30.0, atol=1e-3)
     np.testing.assert_allclose(raw.points[near, 0], 30.0 - mount.speed_m_s * raw.time_s[near], atol=1e-3)
     np.testing.assert_allclose(flat.origins[:, 0], mount.origin_m[0] + mount.speed_m_s * flat.time_s, atol=1e-5)
@@ -75,7 +75,7 @@ def test_a_wall_ahead_seems_to_come_nearer_during_the_turn(sensor: Sensor, mount
 def test_windows_of_mounted_and_moving_sensors_miss_nothing(
     sensor: Sensor, mount: Mount, position: tuple[float, float, float]
 ) -> None:
-    """Casting near a vehicle alone, in its own frame, finds what casting every beam in the scene frame does."""
+    """Casting near each vehicle in its own frame gives the returns of casting every beam in the scene frame."""
     part = ellipsoid((2.0, 0.9, 0.7), (0.0, 0.0, 0.0), Material.VEHICLE)
     plain = cast(world(part.placed(*position, 0.6)), sensor, mount)
     cos, sin = np.cos(0.6), np.sin(0.6)
@@ -86,7 +86,7 @@ def test_windows_of_mounted_and_moving_sensors_miss_nothing(
     both = np.isfinite(plain.range_m) & np.isfinite(fast.range_m)
     assert (np.isfinite(plain.range_m) != np.isfinite(fast.range_m)).sum() <= 2  # float32 at the silhouette
     np.testing.assert_allclose(fast.range_m[both], plain.range_m[both], atol=5e-4)
-    assert both.any() or position[0] < 0.0  # corners do not see what is behind the car
+    assert both.any() or position[0] < 0.0  # corners do not see past the car
 
 
 def test_leaves_are_met_where_they_stand_by_a_moving_sensor() -> None:
@@ -101,7 +101,7 @@ def test_leaves_are_met_where_they_stand_by_a_moving_sensor() -> None:
 @pytest.mark.parametrize("sensor", [HDL64, WAYMO_TOP])
 @pytest.mark.parametrize("range_m", [20.0, 35.0, 50.0])
 def test_returns_are_lost_by_the_law_that_the_sensor_states(sensor: Sensor, range_m: float) -> None:
-    """Of surfaces near the limit a share 1 / (1 + (P_min / P)^(1 / spread)) comes back, of which drop_rate is lost."""
+    """Surfaces near the limit return a share 1 / (1 + (P_min / P)^(1 / spread)), of which drop_rate is lost."""
     model, count, cosine = sensor_model(sensor), 40_000, 0.02
     assert model.limit_range_m is not None
     hits = Hits(
@@ -119,7 +119,7 @@ def test_returns_are_lost_by_the_law_that_the_sensor_states(sensor: Sensor, rang
 
 
 class Second(NamedTuple):
-    """Cells of second returns, and of the first hits that were looked behind."""
+    """Cells of second returns, and of the first hits with a search behind them."""
 
     cells: np.ndarray
     range_m: np.ndarray
@@ -128,7 +128,7 @@ class Second(NamedTuple):
 
 
 def second(place: World, paint: dict[int, Paint] | None = None) -> Second:
-    """Second returns where every first hit is a first return at its exact range."""
+    """Return second returns if every first hit is a first return at its exact range."""
     sweep = cast(place)
     kept = np.isfinite(sweep.range_m)
     cells, range_m, _ = second_returns(place, sweep, sweep.range_m, kept, paint or {}, np.random.default_rng(3))
@@ -136,7 +136,7 @@ def second(place: World, paint: dict[int, Paint] | None = None) -> Second:
 
 
 def expected_range_m(found: Second, x: float) -> np.ndarray:
-    """Range of a wall at x along the beams of second returns."""
+    """Return the range of a wall at x along the beams of second returns."""
     return np.asarray(x / found.sweep.directions[found.cells[:, 0], found.cells[:, 1], 0])
 
 
@@ -147,13 +147,13 @@ def assert_on_wall(found: Second, x: float) -> None:
 
 
 def test_behind_loose_leaves_lies_what_a_share_of_the_beam_reaches() -> None:
-    """A bush too small for two echoes of its own before a wall: all beams that meet it have the wall behind it."""
+    """A bush too small for two echoes of its own is in front of a wall: all beams through the bush reach the wall."""
     bush = Leaves(np.array([10.0, 0.0, -0.5]), np.full(3, 0.45), 0.2)
     found = second(world(wall(16.0), foliage=((7, bush),)))
     leaves = found.sweep.material == Material.FOLIAGE
     assert leaves[found.cells[:, 0], found.cells[:, 1]].all()
     assert_on_wall(found, 16.0)
-    # Light that is a share s of the beam's, s uniform, comes back with 1 / (1 + (P_min / s P)^(1 / spread)).
+    # Light of a share s of the beam's, s uniform, returns with 1 / (1 + (P_min / s P)^(1 / spread)).
     model, share = sensor_model(HDL64), (np.arange(1000) + 0.5) / 1000
     assert model.limit_range_m is not None
     power = share * ALBEDO[Material.FACADE] / 16.0**2 / (0.9 / model.limit_range_m**2)
@@ -179,7 +179,7 @@ def test_windows_let_through_what_they_do_not_send_back() -> None:
 
 @pytest.mark.parametrize(("inside_rad", "cut"), [(0.3e-3, True), (0.9e-3, True), (1.1e-3, False), (1.5e-3, False)])
 def test_silhouettes_split_the_beams_whose_cone_they_cut(inside_rad: float, cut: bool) -> None:
-    """A plate that ends inside_rad to the left of one column: its cone of 1 mrad to each side passes it, or not."""
+    """A plate ends inside_rad to the left of one column, whose cone of 1 mrad to each side reaches past it, or not."""
     column = HDL64.columns // 2 - 40
     edge = 10.0 * np.tan(HDL64.azimuths_rad()[column] + inside_rad)
     plate = wall(10.0, edge - 6.0, 12.0)
@@ -192,7 +192,7 @@ def test_silhouettes_split_the_beams_whose_cone_they_cut(inside_rad: float, cut:
         assert_on_wall(found, 30.0)
     else:
         assert len(left) == 0
-    # Its other end lies somewhere between two columns; nothing else splits a beam.
+    # Its other end is between two columns; nothing else splits a beam.
     assert len(np.unique(found.cells[:, 1])) <= 2
 
 

@@ -1,4 +1,4 @@
-"""What a street's configuration says of its scenes, beside what the made scene says."""
+"""Facts of a street's scenes from its configuration equal those from the generated scene."""
 
 from __future__ import annotations
 

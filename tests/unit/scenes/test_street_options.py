@@ -1,4 +1,4 @@
-"""Options of street scenes: contradictions are refused, names tell them all, and settings are the generator's."""
+"""Options of street scenes: contradictions are refused, names contain all, and settings are the generator's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Street scenes with options: what they add, and that they leave everything else as it was, byte for byte."""
+"""Street scenes with options: their additions; everything else stays the same, byte for byte."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from shift3d.scenes.street.second_hits import SEPARATION_M
 from shift3d.scenes.street.sensors import SENSORS, SHORT32
 
 RECORDED = Path(__file__).parent / "streets_without_options.json"
-"""What two scenes were before there were options, in numbers that another processor's last bits do not move.
+"""Two scenes without options, as numbers that do not depend on a processor's last bits.
 
-`python tests/unit/scenes/test_street_variants.py` writes it again, where scenes were changed on purpose.
+`python tests/unit/scenes/test_street_variants.py` rewrites the file after an intended change of scenes.
 """
 PLAIN = {"hdl64": ("test", 0, 3, "hdl64"), "waymo_top": ("test", 0, 4, "waymo_top")}
 PER_POINT = ("points", "origins", "reflectance", "time_s", "range_image_index")
@@ -35,7 +35,7 @@ def scene(sensor: str = "hdl64", index: int = 3, **options: Any) -> Scene:
 
 
 def in_numbers(made: Scene) -> dict[str, Any]:
-    """How many points, where they lie (quantiles of each axis, metres), how bright; the boxes and what is in them."""
+    """Return number, quantiles (per axis, metres) and brightness of points; the boxes and their number of points."""
     quantiles = np.linspace(0.02, 0.98, 25)
     return {
         "scene": [made.scene_id, made.dataset, made.ground_z_m, list(made.labels.classes)],
@@ -96,7 +96,7 @@ def test_weather_is_stated_as_not_yet_in_the_points() -> None:
 
 
 def nearest(values: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """(N,) where in a table the entry nearest to each value stands."""
+    """Return (N,) index of the table's entry nearest to each value."""
     order = np.argsort(table)
     above = np.searchsorted(table[order], values).clip(1, len(table) - 1)
     is_lower = values - table[order][above - 1] < table[order][above] - values
@@ -169,7 +169,7 @@ def test_side_sensors_are_appended_and_look_from_their_corners() -> None:
 
 
 def test_points_of_a_moving_sensor_in_both_frames() -> None:
-    """The same returns: where they were at time 0 they lie v t farther ahead than in the sensor's frame as it fires."""
+    """The returns are the same: at time 0 they are v t farther ahead than in the sensor's frame at its firing."""
     speed = 20.0
     raw, whole = scene(ego_speed_m_s=speed), scene(ego_speed_m_s=speed, motion_compensated=True)
     assert raw.time_s is not None and whole.time_s is not None

@@ -1,4 +1,4 @@
-"""Waymo v2: a segment written in its schema comes back pixel by pixel, and what does not fit together is refused."""
+"""Waymo v2: a segment in its schema is read back pixel by pixel, and inconsistent components are refused."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def segment(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Segment]:
 
 
 def rows_of(scene: Scene, made: Segment) -> list[tuple[int, int, slice]]:
-    """(laser, return, its rows in the scene), in the order that the scene has them."""
+    """Return (laser, return, its rows in the scene), in the scene's order."""
     found, start = [], 0
     for laser in sorted(SHAPES):
         for number in (1, 2):
@@ -77,7 +77,7 @@ def test_range_images_come_back_from_points_and_origins(segment: tuple[Path, Seg
 
 
 def test_beams_fall_along_a_row_in_azimuth_and_down_a_column_in_inclination(segment: tuple[Path, Segment]) -> None:
-    """Of the TOP laser, which turns with the vehicle by 1.1 degrees a frame, less than a column."""
+    """The check uses the TOP laser, which turns with the vehicle by 1.1 degrees a frame, less than a column."""
     root, made = segment
     scene = WaymoScenes(root, lasers=["TOP"]).load(NAME)
     beams = Beams.from_scene(scene)
@@ -302,7 +302,7 @@ def test_a_bad_segment_is_listed_where_bad_scenes_are_kept(tmp_path: Path) -> No
 
 
 def test_one_frame_of_many_is_read_without_the_others(segment: tuple[Path, Segment], tmp_path: Path) -> None:
-    """Whatever stands in other frames' rows: what is spoiled there is not noticed."""
+    """Rows of other frames are not read: defects in them are not noticed."""
     write_segment(tmp_path)
     path = tmp_path / "lidar" / f"{SEGMENT}.parquet"
     table = pq.read_table(path)

@@ -1,4 +1,4 @@
-"""Streets with vehicles of the wide family: labelled by kind, seen or held out as asked, and nothing else touched."""
+"""Streets with vehicles of the wide family: labelled by kind, seen or held out as requested; the rest is unchanged."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_vehicles_are_of_the_size_that_their_slot_has_and_no_larger(held_out: bo
         vehicle, size = fleet.vehicle(variant), np.array(fleet.slot_m(variant))
         assert vehicle.size_m == pytest.approx(size)
         assert vehicle.radius_m - 0.011 <= np.linalg.norm(size) / 2
-        # From ahead, the left and above, onto the middle of each face's plane at most.
+        # From ahead, the left and above, at most onto the middle of each face's plane.
         for axis in range(3):
             start = np.zeros((1, 3), np.float32)
             start[0, axis] = 20.0

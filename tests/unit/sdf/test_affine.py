@@ -1,4 +1,4 @@
-"""A decoder's products: what either library gives is x W^T + b, with NaN and gradients where they belong."""
+"""A decoder's products: either library gives x W^T + b, with NaN and gradients at the right places."""
 
 import pytest
 import torch
@@ -10,7 +10,7 @@ from shift3d.sdf.affine import affine, padded_to_bucket
 
 @pytest.fixture(params=[False, True], ids=["torch", "onednn"])
 def wide(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each library in turn; oneDNN multiplies on any processor, whether it is the faster there or not."""
+    """Each library in turn; oneDNN multiplies on any processor, even where it is slower."""
     if request.param and not torch.backends.mkldnn.is_available():
         pytest.skip("torch was built without oneDNN")
     monkeypatch.setattr(module, "onednn_float32_is_faster", lambda: request.param)
@@ -32,7 +32,7 @@ def test_float32_is_float64_to_rounding(rows: int, inputs: int, outputs: int) ->
     for offset in (bias, None):
         exact = x.double() @ weight.double().T + (0.0 if offset is None else offset.double())
         assert ((affine(x, weight, offset).double() - exact).abs() <= bound).all()
-    back = affine(torch.ones(rows, outputs), weight.T, None)  # what a way back through the layer asks for
+    back = affine(torch.ones(rows, outputs), weight.T, None)  # as in a backward pass through the layer
     assert torch.allclose(back, torch.ones(rows, outputs) @ weight, atol=1e-3)
 
 

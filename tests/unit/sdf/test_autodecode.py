@@ -1,4 +1,4 @@
-"""A code for a mesh that the decoder has not been given."""
+"""A code for a mesh that the decoder was not trained on."""
 
 from __future__ import annotations
 

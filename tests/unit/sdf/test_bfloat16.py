@@ -1,4 +1,4 @@
-"""bfloat16 far from the surface: close enough for a step, never for a sign."""
+"""bfloat16 far from the surface: accurate enough for a step, never used for a sign."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_the_estimate_is_exact_near_the_surface_and_close_elsewhere(shipped: tup
 @needs_bfloat16
 @pytest.mark.parametrize("expectation", ["right", "wrong", "unknown", "all near"])
 def test_whatever_is_expected_near_the_surface_it_is_exact(shipped: tuple[Field, Frame], expectation: str) -> None:
-    """What is expected decides what is evaluated twice, never a value that matters."""
+    """Predictions decide which places are evaluated twice, never a value near the surface."""
     field, frame = shipped
     metric = ObjectField.of(field, frame, torch.float32, 4096, bfloat16_band_m=0.02)
     x = (torch.rand(4000, 3, generator=torch.Generator().manual_seed(1)).double() - 0.5) * torch.tensor([5.0, 2.4, 2.0])

@@ -11,7 +11,7 @@ from shift3d.seeding import generator
 
 
 def square(side: float, z: float) -> trimesh.Trimesh:
-    """A square sheet about the z axis."""
+    """Return a square sheet about the z axis."""
     h = side / 2
     corners = [[-h, -h, z], [h, -h, z], [h, h, z], [-h, h, z]]
     return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
@@ -27,10 +27,10 @@ def test_parallel_sheets_are_their_gap_apart() -> None:
 
 
 def test_it_is_half_the_sum_of_both_directions() -> None:
-    """From the small sheet to the large one in its plane: 0; back: the mean distance to the square of half size.
+    """The small sheet has distance 0 from the large one in its plane; back it is the mean distance to the small square.
 
-    For the square [-1, 1]^2 and the inner [-1/2, 1/2]^2 it is, by quadrant, with u, v = the excess over 1/2:
-    (2 * integral of u over [0, 1/2] x [0, 1/2] + integral of hypot(u, v) over [0, 1/2]^2) / 1.
+    For the square [-1, 1]^2 and the inner [-1/2, 1/2]^2 it is, by quadrant, with u, v = the excess over 1/2: (2 *
+    integral of u over [0, 1/2] x [0, 1/2] + integral of hypot(u, v) over [0, 1/2]^2) / 1.
     """
     strips = 2 * 0.5**2 / 2 * 0.5
     corner = 0.5**3 * (np.sqrt(2) + np.arcsinh(1.0)) / 3

@@ -84,7 +84,7 @@ def load_decoder_and_codes(folder: Path, checkpoint: str = "latest") -> tuple[An
 
 
 def write_experiment(folder: Path, network: dict[str, Any], prefix: str = "module.") -> tuple[Original, Tensor]:
-    """The original's way of saving: a DataParallel model's state and an embedding's."""
+    """Save like the original code: a DataParallel model's state and an embedding's."""
     torch.manual_seed(0)
     model, codes = Original(network), torch.randn(5, CODE)
     (folder / "ModelParameters").mkdir(parents=True)
@@ -110,7 +110,7 @@ def test_values_are_the_original_networks(tmp_path: Path, variant: str) -> None:
         assert decoder(entry[:, :CODE], x).sub(expected).abs().max() <= 1e-7
         assert decoder.field(codes[2])(x).sub(expected).abs().max() <= 1e-6
         counterpart = decoder.double().field(codes[2].double())(x.double())
-        assert counterpart.sub(model.double()(entry.double())).abs().max() < 1e-7  # float32 in the folding alone
+        assert counterpart.sub(model.double()(entry.double())).abs().max() < 1e-7  # the folding alone is float32
 
 
 @pytest.mark.parametrize("variant", ["published", "layer norm", "point in all and a skip"])
@@ -236,7 +236,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 
 
 def test_real_decoder_is_zero_on_its_cars(real_data: Callable[[str], Path]) -> None:
-    """Every eighth car: its own code, 500 points of its surface, in units of 2.4 m; the files took 2 cm at 4.5 m."""
+    """Every eighth car has its own code; 500 surface points, in units of 2.4 m; files deviate by 2 cm at 4.5 m."""
     experiment = load_deepsdf_checkpoint(real_data("decoder"))
     assert len(experiment.instances) == len(experiment.codes) == 57
     for index in range(0, 57, 8):

@@ -1,4 +1,4 @@
-"""The linear regions of a decoder along lines: their value, slope, length, and what they are good for."""
+"""The linear regions of a decoder along lines: their value, slope, length, and their use."""
 
 import torch
 from torch import Tensor
@@ -45,7 +45,7 @@ def test_a_region_is_linear_to_its_end_and_no_further() -> None:
         )
     beyond = field.region(x + (region.length + 1e-9)[:, None] * d, d)
     changed = (beyond.slope - region.slope).abs() > 1e-9
-    # A unit whose way to the output is shut changes nothing when it switches.
+    # A unit without influence on the output changes nothing when it switches.
     assert changed[ends].double().mean() > 0.7
 
 
@@ -65,7 +65,7 @@ def test_traversal_finds_every_root_that_dense_sampling_finds_first() -> None:
             at += float(region.length) + 1e-12
         if len(change):
             assert at <= float(k[change[0] + 1]) + 1e-9
-            # Nearer only if it is a crossing that lies between two samples.
+            # Nearer only if it is a crossing between two samples.
             if at < float(k[change[0]]) - 1e-9:
                 around = field(start + torch.tensor([[at - 1e-7], [at + 1e-7]], dtype=torch.float64) * direction)
                 assert around[0] * around[1] <= 0

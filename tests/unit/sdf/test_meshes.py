@@ -15,7 +15,7 @@ def ball(radius: float):
 
 
 def thin_sheet(x: torch.Tensor) -> torch.Tensor:
-    """A slab of half thickness 0.012: thinner than the first grid's cells by far."""
+    """Return a slab of half thickness 0.012: far thinner than the first grid's cells."""
     q = x.abs() - torch.tensor([0.6, 0.012, 0.5])
     return q.clamp(min=0).norm(dim=1) + q.max(dim=1).values.clamp(max=0)
 

@@ -12,7 +12,7 @@ from shift3d.seeding import generator
 
 
 def box_distance(points: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Exact signed distance to an axis-aligned box about the origin."""
+    """Return the exact signed distance to an axis-aligned box about the origin."""
     q = np.abs(points) - half
     return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
 

@@ -1,4 +1,4 @@
-"""A decoder without the hidden units that are off: the same field wherever its survey has been."""
+"""A decoder without its inactive hidden units: the same field wherever its survey was."""
 
 import pytest
 import torch
@@ -29,7 +29,7 @@ def places(count: int = 400, reach: float = 1.0, seed: int = 0) -> Tensor:
 
 
 def units_on(whole: Field, x: Tensor) -> list[Tensor]:
-    """A bool mask a hidden layer, by the plain formula."""
+    """Return a bool mask per hidden layer, by the plain formula."""
     hidden, found = x, []
     for layer, (weight, bias) in enumerate(zip(whole.weights[:-1], whole.biases[:-1], strict=True)):
         hidden = (torch.cat((hidden, x), 1) if layer == whole.skip_layer else hidden) @ weight.T + bias
@@ -55,7 +55,7 @@ def test_the_same_values_where_only_live_units_are_on(seed: int, dtype: torch.dt
     thin = whole.sliced(live)
     assert sum(w.numel() for w in thin.weights) < 0.9 * sum(w.numel() for w in whole.weights)
     assert float((thin(x) - whole(x)).abs().max()) <= rounding
-    # And elsewhere, wherever no other unit comes on.
+    # And elsewhere, wherever no other unit is active.
     for one in places(200, 1.3, seed=9).to(dtype).split(1):
         if not any(bool((on & ~known).any()) for on, known in zip(units_on(whole, one), live, strict=True)):
             assert float((thin(one) - whole(one)).abs().max()) <= rounding

@@ -1,4 +1,4 @@
-"""What a sweep refers to: scene sets, weights, and every setting behind an accuracy preset."""
+"""References of a sweep: scene sets, weights, and every setting behind an accuracy preset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An ONNX file among the settings: what is refused when a sweep is planned, and the comparison with its original."""
+"""An ONNX file among the settings: refusals at planning time, and the comparison with its original."""
 
 from __future__ import annotations
 

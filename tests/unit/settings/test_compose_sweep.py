@@ -1,4 +1,4 @@
-"""Sweeps are composed once and expand to what Hydra's own multirun would run, in its order."""
+"""Sweeps are composed once and expand to the jobs of Hydra's own multirun, in its order."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ SWEEPS = [
 
 
 def hydra_multirun(name: str, overrides: list[str]) -> list[dict[str, Any]]:
-    """Settings of every job as Hydra's multirun makes them: its sweeper's split, then one composition a job."""
+    """Return every job's settings from Hydra's multirun: its sweeper's split, then one composition per job."""
     search = f"hydra.searchpath=[file://{shipped('conf')}]"
     with initialize_config_dir(config_dir=str(shipped("sweeps")), version_base=None):
         first = compose(name, overrides=[search], return_hydra_config=True)
         params = [f"{key}={value}" for key, value in first.hydra.sweeper.params.items()]
-        # compose() alone knows no options of groups on the search path, and glob() asks for them.
+        # compose() alone knows no options of groups on the search path, which glob() needs.
         loader = GlobalHydra.instance().config_loader()
         loader.get_group_options = lambda group, *_, **__: sorted(
             p.stem for p in (shipped("conf") / group).glob("*.yaml")

@@ -1,4 +1,4 @@
-"""Detectors of other codebases among the settings: what they need, what their ids hold, where they may be used."""
+"""Detectors of other codebases among the settings: requirements, content of their ids, and their allowed uses."""
 
 from __future__ import annotations
 

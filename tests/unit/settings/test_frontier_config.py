@@ -1,4 +1,4 @@
-"""sweeps/accuracy_time.yaml: what it measures is valid, named, and comes to enough."""
+"""sweeps/accuracy_time.yaml: its settings are valid, named, and numerous enough."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def frontier(*overrides: str) -> FrontierSweepConfig:
 
 
 def changed(**changes: Any) -> FrontierSweepConfig:
-    """The sweep with one more setting."""
+    """Return the sweep with one more setting."""
     values = compose_sweep("accuracy_time", []).base
     plain = {"name": "another", "method": "more", "preset": "standard"}
     values["frontier"]["settings"].append(plain | changes)
@@ -50,7 +50,7 @@ def test_the_four_presets_are_there_as_they_ship() -> None:
     for name, setting in found.items():
         assert setting.name == name and setting.warm == "no"
         assert render_settings_of(dict(setting.accuracy)) == PRESETS[name]
-    # The published way shows the detector the whole scene.
+    # The published method shows the detector the whole scene.
     assert found["paper"].crop_m is None and found["standard"].crop_m is not None
 
 

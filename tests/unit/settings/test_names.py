@@ -73,7 +73,7 @@ def test_numbers_of_a_file_are_names_too() -> None:
 def test_frames_of_a_file_without_quotes_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str, in_small: bool
 ) -> None:
-    """YAML makes other numbers of them than their digits are."""
+    """YAML parses unquoted digits as other numbers."""
     (tmp_path / "sweeps").mkdir()
     monkeypatch.chdir(tmp_path)
     defaults = "defaults: [smoke, {override /scenes: kitti}, _self_]\n"

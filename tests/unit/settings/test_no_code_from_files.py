@@ -11,15 +11,15 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[3]
 SOURCES = sorted((REPOSITORY / "shift3d").rglob("*.py"))
 SETTINGS = sorted(path for name in ("conf", "sweeps", "jobs") for path in (REPOSITORY / name).rglob("*.yaml"))
-# Modules whose readers run what a file says; Hydra's would call what _target_ names.
+# Modules whose readers run code of a file; Hydra's would call the object that _target_ names.
 MODULES = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "hydra.utils"}
-HARMLESS = "from pickle import UnpicklingError"  # what torch.load raises when it refuses a pickle
+HARMLESS = "from pickle import UnpicklingError"  # raised by torch.load when it refuses a pickle
 BUILTINS = {"eval", "exec", "compile", "__import__"}
 YAML = {"load", "load_all", "full_load", "unsafe_load"}
 
 
 def findings(source: str) -> Iterator[str]:
-    """What in a module could run code from a file."""
+    """Yield places in a module that could run code from a file."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (f"imports {alias.name}" for alias in node.names if alias.name in MODULES)

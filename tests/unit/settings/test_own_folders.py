@@ -1,4 +1,4 @@
-"""Sweeps, groups and launch specs of one's own: found first, beside those that ship, and said where they are not."""
+"""A user's own sweeps, groups and launch specs: found first, beside the shipped ones; missing ones are reported."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shift3d.settings.folders import files, own_folders, places, shipped
 
 @pytest.fixture(params=["team", "a team's folder, 2 = two"])
 def team(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder that a command runs in."""
+    """A folder in which a command runs."""
     folder = tmp_path / request.param
     folder.mkdir()
     monkeypatch.chdir(folder)
@@ -63,7 +63,7 @@ def test_a_file_of_ones_own_takes_the_place_of_its_name(team: Path) -> None:
 def test_a_sweep_of_ones_own_changes_no_command_that_runs_another(
     team: Path, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """scenes and verify take their settings from conf/ by way of a sweep that nobody named."""
+    """scenes and verify take their settings from conf/ through a sweep that nobody named."""
     assert main(["scenes", "list"]) == 0
     shipped_scenes, runner = capsys.readouterr().out, compose_runner(["runner.workers=2"], "verify")
     for name in files("sweeps"):

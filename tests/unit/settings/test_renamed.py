@@ -81,7 +81,7 @@ def task(accuracy: str, **settings: Any) -> TaskSpec:
     )
 
 
-# What the older program stated of the presets, where a name or a value has changed.
+# Presets as the older program stated them, where a name or a value has changed.
 OLD_STANDARD = {"solver": "hybrid", "root": "anderson_bjorck", "unchecked_m": 3e-4, "warm_gap_m": 0.03, "batch": 256}
 OLD_STANDARD |= {"grazing_floor": 0.2, "look_between": True, "empty_space": True, "coarse_band_m": 0.02}
 OLD_PAPER = {"solver": "paper", "root": "bisection", "step_m": 0.1, "tolerance_m": 1e-6, "unchecked_m": 0.0}

@@ -1,4 +1,4 @@
-"""What a plan has to look at: nothing that a configuration says, and nothing twice."""
+"""Scenes that a plan must open: none whose facts the configuration states, and none twice."""
 
 from __future__ import annotations
 

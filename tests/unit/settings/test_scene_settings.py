@@ -21,7 +21,7 @@ def config(*words: str) -> SceneConfig:
 
 
 def written(root: Path, kind: str) -> list[str]:
-    """The words for a small data set of a kind, written now."""
+    """Write a small data set of a kind. Returns its words."""
     if kind == "waymo":
         waymo_segment.write_segment(root, frames=2)
         return ["scenes.lasers=[TOP,REAR]"]
@@ -43,7 +43,7 @@ def test_settings_give_the_same_scenes_here_and_in_a_worker(tmp_path: Path, kind
     scenes = scene_set(settings)
     assert scenes.dataset == kind
     name = scenes.names()[-1]
-    # What a worker is sent are plain values.
+    # A worker receives plain values.
     travelled = scene_set(scene_config(settings.model_dump(mode="json")))
     assert travelled.names() == scenes.names()
     assert travelled.load(name).content_hash() == scenes.load(name).content_hash()

@@ -1,4 +1,4 @@
-"""A real S3 server, for the tests that take place in a bucket too."""
+"""A real S3 server, for the tests that also run in a bucket."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def server() -> Iterator[str]:
 
 @pytest.fixture
 def endpoint(server: str, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The server's address, which this test's environment names."""
+    """The server's address, set in this test's environment."""
     for name, value in {**ENVIRONMENT, "AWS_ENDPOINT_URL": server}.items():
         monkeypatch.setenv(name, value)
     return server

@@ -1,4 +1,4 @@
-"""Equal content is an equal file, in every process; the file is one that the library reads."""
+"""Equal content gives an equal file in every process, and the library can read the file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files are there whole or not at all."""
+"""A file exists whole or not at all."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_folder_that_cannot_be_flushed_leaves_the_outcome_open(
 def test_a_temporary_file_that_cannot_be_removed_does_not_undo_the_entry(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The entry exists: an error here would make the commit log delete the segments that it names."""
+    """The entry exists: an error would make the commit log delete the segments that the entry names."""
 
     def fails(path: Path, missing_ok: bool = False) -> None:
         raise OSError(errno.EIO, "I/O error")

@@ -1,4 +1,4 @@
-"""Buckets that refuse, forget, or are not there: one clear line, and no entry of the log lost or written twice."""
+"""Buckets that refuse, forget, or do not exist: one clear line, and no log entry lost or written twice."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def proxy(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[FaultyProx
 
 
 def refused(location: Location) -> InputError:
-    """What every way to touch it says, the same in all of them."""
+    """Return the error of every kind of access to it, the same for all."""
     errors = []
     for touch in (location.names, location.read_bytes, lambda: location.put_if_absent(b"x")):
         with pytest.raises(InputError) as failure:
@@ -129,7 +129,7 @@ def test_a_store_without_conditions_is_refused_before_anything_is_run(proxy: Fau
 
 
 def test_a_probe_that_cannot_be_removed_hides(bucket: Location, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of credentials that may not delete, or beside another driver that tries the same folder."""
+    """The credentials may not delete, or another driver tries the same folder."""
 
     def denied(*_: object, **__: object) -> None:
         raise PermissionDeniedError("AccessDenied")

@@ -1,4 +1,4 @@
-"""gc and compact: nothing that counts is lost, whoever runs and whenever somebody is killed."""
+"""gc and compact: no valid data is lost, whoever runs and whenever a process is killed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TASKS = ("a", "b", "c", "d")
 
 @pytest.fixture(params=["folder", "bucket"])
 def sweep(request: pytest.FixtureRequest, tmp_path: Path) -> Location:
-    """Two drivers' work: a, b by the first one; c, d by the second; d was quarantined at first, e still is."""
+    """Work of two drivers: the first committed a, b; the second c, d; d was first quarantined, e still is."""
     where = tmp_path / "sweep"
     if request.param == "bucket":
         where = f"s3://{new_bucket(request.getfixturevalue('endpoint'))}/sweep"
@@ -122,11 +122,11 @@ def test_a_damaged_log_makes_nothing_garbage(sweep: Location) -> None:
 
 
 class Killed(BaseException):
-    """Where a process would have ended."""
+    """Simulated end of a process."""
 
 
 def killed_at(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
-    """The process ends before its step-th write or removal: nothing after it happens, no clean-up either."""
+    """End the process before its step-th write or removal: nothing happens after it, no clean-up either."""
     left = [step]
 
     def counted(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -192,7 +192,7 @@ def test_a_process_that_ends_during_compact(tmp_path: Path, step: int) -> None:
 
 
 def test_a_reader_whose_entries_vanish_reads_again(sweep: Location, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A compaction takes place between its listing and its reading."""
+    """A compaction takes place between the reader's listing and its reading."""
     before, names, kind = what_counts(sweep), type(sweep).names, type(sweep)
     raced = []
 

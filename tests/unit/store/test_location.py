@@ -1,4 +1,4 @@
-"""What a sweep's folder must do wherever it lies."""
+"""Requirements of a sweep's folder in any location."""
 
 from __future__ import annotations
 

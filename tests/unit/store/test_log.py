@@ -1,4 +1,4 @@
-"""The commit log: one writer, and the entry is what makes a segment count."""
+"""The commit log: one writer, and a segment counts only through its entry."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_hole_in_the_log_is_an_error(tmp_path: Path) -> None:
 def test_a_driver_takes_over_although_the_other_one_commits_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The other one is quicker three times, between this one's reading of the log and its first entry."""
+    """The other driver commits three times between this driver's reading of the log and its first entry."""
     old, left, whole = CommitLog(tmp_path, "spec"), ["a", "b", "c"], CommitLog._append
 
     def slow(self: CommitLog, kind: str, *arguments: object) -> object:

@@ -1,4 +1,4 @@
-"""Rows of one task are those of the whole table, and take reading its own row groups alone."""
+"""Reading one task's rows gives those of the whole table, and reads the task's own row groups alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shift3d.store.rows_by_task import RowsByTask
 from shift3d.store.tables import read_table, table_from_rows
 
 TASKS = {f"{number:032x}": 1 + number % 4 for number in range(40)}
-ROW_GROUP = 7  # no multiple of a task's rows: some tasks lie in two groups
+ROW_GROUP = 7  # no multiple of a task's rows: some tasks are in two groups
 
 
 def written(path: Path, tasks: list[str]) -> Path:

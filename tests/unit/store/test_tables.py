@@ -33,7 +33,7 @@ def score_row(**changes: Any) -> dict[str, Any]:
 
 
 def test_scores_have_the_columns_of_the_contract_in_its_order() -> None:
-    # What is ours alone comes after the contract's.
+    # The project's own columns follow those of the contract.
     audit = ["audited_beams", "audited_hits", "missed_hits", "false_hits", "wrong_surface", "depth_error_max_m"]
     stability = ["least_slope", "grazing_gradient", "non_finite"]
     near = ["surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural"]

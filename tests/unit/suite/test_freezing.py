@@ -1,4 +1,4 @@
-"""A frozen object is scored as the sweep scored it, to the bit, from its own bytes or from the frames again."""
+"""A frozen object scores as in the sweep, bit for bit, from its own bytes or from the frames."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ WORDS = ["vehicle=suv", "mode=shape,pose", "attack.steps=1", "attack.noise_repli
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A real sweep of a shape and a pose task with shipped weights; as its final tables hold it."""
+    """A real sweep of a shape and a pose task with shipped weights, with its final tables."""
     return swept(tmp_path_factory.mktemp("sweep"), WORDS)
 
 
 def swept(folder: Path, words: list[str]) -> Path:
-    """The folder of a finished sweep."""
+    """Return the folder of a finished sweep."""
     plan = make_plan(compose_sweep("smoke", words), read_catalogue)[0]
     open_folder(folder, plan)
     assets = load_assets(plan.assets[0])
@@ -138,7 +138,7 @@ def test_referenced_frames_are_made_again_and_must_be_the_same(
 
 
 def test_a_vehicle_of_another_kind_has_that_kinds_name_and_size(sweep: Path, tmp_path: Path) -> None:
-    """A search over kinds turns an SUV into a coupe: a gate says what is missed."""
+    """A search over kinds turns an SUV into a coupe: a gate must name the missed kind."""
     plan = read_plan(sweep)
     assets = load_assets(plan.assets[0])
     coupe = assets.vehicles.vehicle("coupe")
@@ -151,7 +151,7 @@ def test_a_vehicle_of_another_kind_has_that_kinds_name_and_size(sweep: Path, tmp
 
 
 def test_controls_alone_are_no_suite(sweep: Path, tmp_path: Path) -> None:
-    """A gate would score them all, and find nothing to say."""
+    """A gate would score all of them without any finding."""
     other = Path(shutil.copytree(sweep, tmp_path / "other"))
     path = other / "final" / "scores.parquet"
     rows = read_table(path, "scores").to_pylist()
@@ -177,7 +177,7 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
         {"status": "no_valid_step"}, {"score": None},
     ]  # fmt: skip
     fine = [{"score": 0.01 * number, "stable": True} for number in range(20)]
-    fine[7] |= {"status": "diverged"}  # what it found before counts
+    fine[7] |= {"status": "diverged"}  # its earlier result counts
     fine[8] |= {"mode": "pose", "natural": False}  # a car that the reference set lacks, moved
     rows = [{**one, **change, "task_id": f"{number:032x}"} for number, change in enumerate([*fine, *faults])]
     rows = [{key: _plain(value) for key, value in row.items()} for row in rows]
@@ -207,7 +207,7 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder."""
+    """Return every file below a folder."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 

@@ -1,4 +1,4 @@
-"""A suite is what was frozen, to the byte, or an error that names the file."""
+"""A suite is its frozen files, byte for byte, or an error that names the file."""
 
 from __future__ import annotations
 

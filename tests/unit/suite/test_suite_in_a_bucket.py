@@ -1,4 +1,4 @@
-"""A suite in a bucket is gated from there, and its releases are kept there."""
+"""A suite in a bucket is gated from there, and its releases are stored there."""
 
 from __future__ import annotations
 

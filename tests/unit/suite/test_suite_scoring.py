@@ -1,4 +1,4 @@
-"""Answers are the same whoever computes them and however often they are interrupted."""
+"""Answers are the same from any process and after any number of interruptions."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_an_interrupted_scoring_goes_on_where_it_stopped(suite: FrozenSuite, sco
     begun.close()
     known = contents(tmp_path / "begun")
     assert len(known) == 2
-    # What is known is not scored again: the same bytes, though its scenes are gone.
+    # A known answer is not computed again: the same bytes, although its scenes are gone.
     for name in known:
         (tmp_path / "suite" / "backgrounds" / name).unlink()
     list(score_suite(suite, scorer, as_location(tmp_path / "begun")))

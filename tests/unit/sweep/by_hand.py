@@ -1,4 +1,4 @@
-"""Small catalogues, plans and result rows, by hand."""
+"""Small handmade catalogues, plans and result rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ VEHICLES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
 
 
 def catalogue(config: Config) -> Catalogue:
-    """Two scenes and the five vehicles."""
+    """Return two scenes and the five vehicles."""
     return Catalogue(
         scenes=tuple(SceneEntry(name, "street-hdl64", name[0], SceneFacts(name)) for name in ("north", "south")),
         scene_arguments={"kind": "street"},
@@ -29,7 +29,7 @@ def catalogue(config: Config) -> Catalogue:
 def score_row(
     task: Any, sweep: str, method: str, score: float | None, loss: float | None = None, **more: Any
 ) -> dict[str, Any]:
-    """One row of scores of a planned task."""
+    """Return one row of scores of a planned task."""
     spec = task.spec
     names = ("task_id", "vehicle", "scene", "dataset", "mode", "alpha", "detector", "accuracy", "search")
     row = {name: getattr(spec, name) for name in names} | {"sweep": sweep, "lambda": spec.lambda_}

@@ -1,4 +1,4 @@
-"""Plans that tests share."""
+"""Plans shared by tests."""
 
 from __future__ import annotations
 

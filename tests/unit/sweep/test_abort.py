@@ -1,4 +1,4 @@
-"""A sweep stops early when what fails is no accident, and only then."""
+"""A sweep stops early if its failures are systematic, and only then."""
 
 from __future__ import annotations
 

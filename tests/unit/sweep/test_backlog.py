@@ -1,4 +1,4 @@
-"""Every task is handed out once unless it comes back, and only what it did itself is charged to it."""
+"""Every task is handed out once unless it comes back, and is charged only for its own failures."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_attempts_are_numbered_on() -> None:
 def test_each_worker_has_a_stretch_of_the_plan_to_itself_and_helps_where_most_is_left() -> None:
     backlog = Backlog(range(16))
     assert backlog.take(2, "a") == [0, 1]
-    assert backlog.take(2, "b") == [9, 10]  # the later half of what "a" has left
+    assert backlog.take(2, "b") == [9, 10]  # the later half of the tasks left to "a"
     assert backlog.take(2, "a") == [2, 3]
     assert backlog.take(8, "b") == [11, 12, 13, 14, 15]
     assert backlog.take(8, "b") == [6, 7, 8]

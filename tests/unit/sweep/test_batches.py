@@ -1,4 +1,4 @@
-"""Batches grow towards a few seconds of work, and the last ones are shared out."""
+"""Batches grow towards a few seconds of work, and the last ones are shared among workers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Of two calls with the same tasks the first to end counts, and only what is unusually slow gets a second one."""
+"""The first of two calls with the same tasks counts; only an unusually slow call gets a second one."""
 
 from __future__ import annotations
 

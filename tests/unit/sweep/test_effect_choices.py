@@ -1,4 +1,4 @@
-"""What a plan decides about effects: once for each scene, said in a table, and part of each task."""
+"""Effects chosen by a plan: once for each scene, shown in a table, and part of each task."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FOG = SceneFacts("north", conditions=Conditions(weather="fog", visibility_m=40.0
 
 
 def one_foggy(config: Config) -> Catalogue:
-    """North lies in fog, south is dry."""
+    """Return a catalogue in which north is in fog and south is dry."""
     plain = catalogue(config)
     north, south = plain.scenes
     return dataclasses.replace(plain, scenes=(dataclasses.replace(north, facts=FOG), south))
@@ -104,7 +104,7 @@ def test_scenes_are_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(effect_choices, "choose", counting)
     plan_of("attack.lambda=1,10", "attack.alpha=0.01,0.02", of=one_foggy)
-    assert requested == ["north", "north", "south", "south"]  # what they call for, and what is forced
+    assert requested == ["north", "north", "south", "south"]  # effects called for, and forced effects
 
 
 def test_a_misspelt_effect_is_told_the_nearest_and_nothing_internal() -> None:

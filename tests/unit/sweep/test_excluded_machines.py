@@ -1,4 +1,4 @@
-"""A machine that cannot run a sweep's tasks is left out while others can; the sweep ends where none can."""
+"""A machine that cannot run a sweep's tasks is left out while others can; the sweep ends if none can."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ UNMOUNTED = InputError("no such folder", "/data", "Mount it")
 
 
 class Ray:
-    """A cluster of machines of one worker each, by letters. mounted: those that can load. starting: those where workers
-    start; None: all."""
+    """Cluster of single-worker machines, by letters. mounted: can load. starting: can start workers; None: all."""
 
     exceptions = exceptions
 
@@ -99,12 +98,12 @@ class Ray:
         self.ran += [(machine, position) for position in positions]
         if machine in self.broken:
             ids = [self.ids[position] for position in positions]
-            # Each is tried four times, with pauses.
+            # Each file is tried four times, with pauses.
             return BatchOutcome(quarantined=ids, unread=ids, errors=[EIO] * len(ids), seconds=10.5 * len(ids))
         return BatchOutcome(done=[str(position) for position in positions])
 
     def wait(self, references: list[Any], timeout: float, num_returns: int = 1) -> tuple[list[Any], list[Any]]:
-        """Starts end before calls."""
+        """Return finished references, starts before calls."""
         ready = [reference for reference in reversed(references) if reference in self._results][:num_returns]
         return ready, [reference for reference in references if reference not in ready]
 
@@ -130,7 +129,7 @@ def outcomes(
 
 
 def plan_of_scenes(count: int) -> Plan:
-    """A task a scene."""
+    """Plan one task per scene."""
     scenes = tuple(SceneEntry(name, "street-hdl64", name, SceneFacts(name)) for name in map(str, range(count)))
     composed = compose_sweep("smoke", ["vehicle=suv", "mode=shape"])
     return make_plan(composed, lambda config: dataclasses.replace(valid_sweeps.catalogue(config), scenes=scenes))[0]

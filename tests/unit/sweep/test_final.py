@@ -1,4 +1,4 @@
-"""The final tables, against values worked out by hand, and their indifference to order."""
+"""The final tables, against values worked out by hand, and their independence of order."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from shift3d.sweep.results.final import FinalTables, write_final
 
 
 def rows_of(task: Any, sweep: str) -> list[dict[str, Any]]:
-    """baseline 0.8, adversarial 0.2 or 0.4 by scene; the loss is lowest for lambda 1."""
+    """Return baseline 0.8, adversarial 0.2 or 0.4 by scene; the loss is lowest for lambda 1."""
     adversarial = 0.2 if task.spec.scene == "north" else 0.4
     loss = {1.0: 0.3, 10.0: 0.6, None: 0.1}[task.spec.lambda_]
     where = {"x_m": 15.0 if task.spec.scene == "north" else 25.0}
@@ -102,7 +102,7 @@ def test_a_method_that_an_axis_turns_off_and_on_is_a_gap_where_nothing_was_score
 
 
 def test_each_scoring_detector_has_its_own_figures(out: Path) -> None:
-    """The second detector says 0.5 of everything and its loss prefers lambda 10: the choice stays the attacked one's.
+    """The second detector scores everything 0.5, and its loss prefers lambda 10: the attacked detector's choice stays.
 
     One pose task has no score: its gap is a row for each detector.
     """

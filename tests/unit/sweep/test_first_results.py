@@ -1,4 +1,4 @@
-"""A sweep's first result is there soon: the cheapest task of a vehicle first, and no clock before its commit."""
+"""A sweep's first result comes early: the cheapest task of a vehicle first, and no clock before its commit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sweep that was handed to Ray's Jobs API and can no longer be followed: one line that starts no second driver."""
+"""A sweep handed to Ray's Jobs API and lost from sight: one line that starts no second driver."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class TunnelLost:
     """Ray's client behind a tunnel that breaks."""
 
     async def tail_job_logs(self, name: str) -> AsyncIterator[str]:
-        """A line, and then what Ray raises."""
+        """Yield a line, then raise Ray's error."""
         yield "task 1 of 9\n"
         raise RuntimeError("WebSocket connection closed unexpectedly with close code 1006")
 
     def get_job_info(self, name: str) -> SimpleNamespace:
-        """Nobody answers."""
+        """Raise as if nobody answers."""
         raise requests.exceptions.ConnectionError("refused")
 
 
@@ -29,7 +29,7 @@ class DashboardGone(TunnelLost):
     """The log ends, and nobody answers afterwards."""
 
     async def tail_job_logs(self, name: str) -> AsyncIterator[str]:
-        """A line."""
+        """Yield a line."""
         yield "task 1 of 9\n"
 
 
@@ -37,7 +37,7 @@ class StillRunning(DashboardGone):
     """The log ends before the job does."""
 
     def get_job_info(self, name: str) -> SimpleNamespace:
-        """A job that goes on."""
+        """Return a job that is still running."""
         return SimpleNamespace(status="RUNNING", driver_exit_code=None, message="Job is currently running.")
 
 

@@ -69,13 +69,13 @@ def test_a_task_is_transferred_into_the_next_scenes_of_the_set() -> None:
     }
     assert specs[0].transfer_scenes[0].scene_hash == "hash1"
     assert all(spec.transfer_scenes == () for spec in specs if spec.mode == "pose")
-    # A universal shape is searched in the first of them, and judged in as many others.
+    # A universal shape is searched in the first scenes, and scored in as many others.
     wide = [
         task.spec
         for task in make_plan(compose_sweep("default", [*words, "attack.search_scenes=1"]), five_scenes)[0].tasks
     ]
     assert {len(spec.transfer_scenes) for spec in wide if spec.mode == "shape"} == {3}
-    # One scene by its name is put into others of the whole set all the same.
+    # A scene given by name is still transferred to others of the whole set.
     (one,) = (
         task.spec
         for task in make_plan(compose_sweep("default", [*words, "mode=shape", "scene=s4"]), five_scenes)[0].tasks

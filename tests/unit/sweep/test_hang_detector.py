@@ -1,4 +1,4 @@
-"""Calls out for too long whose worker nobody can see: ended in time, and nobody is charged without proof."""
+"""Overdue calls of workers that nobody can see: ended in time, and no task is charged without proof."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shift3d.sweep.execution.ray.worker_pool import PooledWorker
 
 
 class UnansweringRay:
-    """A cluster on which no question gets its answer: the machine is overloaded, or gone and Ray does not know."""
+    """Cluster that answers no question: the machine is overloaded, or gone without Ray's knowledge."""
 
     def wait(self, references: list[Any], timeout: float) -> tuple[list[Any], list[Any]]:
         return [], references

@@ -1,4 +1,4 @@
-"""The paper's choice of lambda and alpha, and the reasons that are given for it."""
+"""The paper's choice of lambda and alpha, and the stated reasons."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_the_papers_choices() -> None:
 
 
 def test_choices_of_several_modes_differ_in_words_and_lines() -> None:
-    """The shape wants the smaller lambda, shape and pose the larger one."""
+    """Shape prefers the smaller lambda, shape and pose together the larger one."""
     rows = [
         scored(0.01, weight, 0.4, loss, mode=mode)
         for mode, losses in (("shape", (0.2, 0.9)), ("shape_pose", (0.9, 0.2)))

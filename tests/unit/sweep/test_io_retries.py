@@ -1,4 +1,4 @@
-"""What the file system or the network did is tried four times with pauses; what is missing, twice without."""
+"""Errors of the file system or network are tried four times with pauses; a missing file twice without."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def outcomes(plan: Plan, failures: list[Exception], reader: Any) -> list[str]:
-    """Of each try of one task that reads a file, which fails with these and is read then."""
+    """Return the outcome of each try of one task whose file fails with these errors and then is read."""
 
     def run(spec: object, assets: object) -> TaskResult:
         with pytest.MonkeyPatch.context() as patch:

@@ -1,4 +1,4 @@
-"""The plan: three tasks a vehicle and scene, in order, each once."""
+"""The plan: three tasks per vehicle and scene, in order, each once."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_folder_and_back(out: Path, suv_plan: Plan) -> None:
 
 
 def test_tasks_under_another_name_of_their_effects_are_refused(out: Path) -> None:
-    """Where no scene calls for an effect the hash is the same; final tables would have other groups than the plan."""
+    """The plan's hash is the same if no scene calls for an effect, but final tables would have other groups."""
     auto, none, both = (
         make_plan(compose_sweep("smoke", ["vehicle=suv", f"effects={word}"]), valid_sweeps.catalogue)[0]
         for word in ("auto", "none", "auto,none")
@@ -141,7 +141,7 @@ def test_tasks_under_another_name_of_their_effects_are_refused(out: Path) -> Non
         with pytest.raises(InputError, match="holds the same tasks, begun with effects=auto"):
             open_folder(out, other)
     open_folder(out, auto)
-    (out / "env.json").unlink()  # its driver was killed before it had written all: whose plan lies there is not known
+    (out / "env.json").unlink()  # its driver was killed before it had written everything: the plan's owner is not known
     open_folder(out, none)
     assert read_plan(out).tasks == none.tasks
 
@@ -156,7 +156,7 @@ def test_a_folder_whose_first_driver_was_killed_early_is_taken_over(out: Path, s
 def test_of_two_drivers_of_different_sweeps_one_has_the_folder_whole(
     out: Path, suv_plan: Plan, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The second has looked at the folder before the first wrote anything there."""
+    """The second driver has checked the folder before the first wrote anything into it."""
     look = folder_module.check_folder
 
     def look_and_be_overtaken(place: object, plan: Plan) -> bool:

@@ -1,4 +1,4 @@
-"""plan.parquet: small, the same bytes for the same tasks, and never another task than was planned."""
+"""plan.parquet: small, the same bytes for the same tasks, and exactly the planned tasks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WORDS = ["effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    """Effects asked for under several settings, transfers, shape and pose."""
+    """Effects under several settings, transfers, shape and pose."""
     return make_plan(compose_sweep("default", [*WORDS, "attack.transfer_scenes=1"]), catalogue)[0]
 
 
@@ -89,7 +89,7 @@ def test_tasks_that_are_missing_are_noticed(plan: Plan, tmp_path: Path) -> None:
 
 
 def test_the_files_of_earlier_programs_are_read(plan: Plan) -> None:
-    """They hold every task's whole spec."""
+    """Files of earlier programs hold every task's whole spec."""
     columns = {
         "task_id": plan.tasks.ids,
         "spec": [task.spec.canonical_json() for task in plan.tasks],

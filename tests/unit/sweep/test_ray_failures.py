@@ -1,4 +1,4 @@
-"""What a call that ended without a result tells the reader."""
+"""Message to the reader about a call that ended without a result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file of Ray's token: its owner's alone from its first moment, and refused where it is not."""
+"""The file of Ray's token: readable by its owner alone from the start, and refused otherwise."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from shift3d.sweep.execution.ray.token import require_token, token_file
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A home without a token, and nothing said about one."""
+    """A home without a token, and no setting about one."""
     for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"):
-        # Set first: what require_token sets is then undone as well.
+        # Set first, so that a variable set by require_token is undone as well.
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
     monkeypatch.setenv("HOME", str(tmp_path))

@@ -1,4 +1,4 @@
-"""A second pool takes the first one's place in a sweep's tables only together with what it found."""
+"""A second pool replaces the first one in a sweep's tables only together with its results."""
 
 from __future__ import annotations
 

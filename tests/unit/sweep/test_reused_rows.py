@@ -1,4 +1,4 @@
-"""Rows that come from another sweep stand under this one's name."""
+"""Rows taken over from another sweep carry this sweep's name."""
 
 from __future__ import annotations
 

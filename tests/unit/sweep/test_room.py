@@ -1,4 +1,4 @@
-"""As many workers as fit by CPU and by memory, machine by machine."""
+"""Room for workers by CPUs and by memory, machine by machine."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_the_scarcer_of_the_two_decides_on_each_machine() -> None:
 
 
 def pool(nodes: list[dict[str, Any]], *overrides: str) -> WorkerPool:
-    """For 100 tasks that are known to need 300 MB, on a Ray of these machines where no start ends."""
+    """Return the pool for 100 tasks known to need 300 MB, on a Ray of these machines where no start ends."""
     actor = SimpleNamespace(ready=SimpleNamespace(remote=object), _actor_id=b"")
     runner = config(*overrides)
     ray = SimpleNamespace(nodes=lambda: nodes)
@@ -93,7 +93,7 @@ NODE_DIED = "The actor died because its node has died. Node Id: 0a1b."
 
 @pytest.mark.parametrize(("text", "fatal"), [(NODE_DIED, False), ("The actor died: no module named shift3d", True)])
 def test_starts_fail_by_a_defect_or_because_their_machine_went_away(text: str, fatal: bool) -> None:
-    """All three workers of a machine are starting as it goes away."""
+    """All three workers of a machine are starting when it goes away."""
     from ray import exceptions
     from ray.core.generated.common_pb2 import ActorDiedErrorContext
 
@@ -125,6 +125,6 @@ def test_a_private_ray_has_the_cpus_that_this_process_may_use(monkeypatch: pytes
     connection.connect(config("runner.workers=3"), tasks_left=100)
     assert found == [1, 3]
     monkeypatch.setattr(connection, "usable_cpus", lambda: 5)
-    for cpus, room in ((2, 4), (0.5, 5), (8, 8)):  # two workers, ten, and one that is tried all the same
+    for cpus, room in ((2, 4), (0.5, 5), (8, 8)):  # two workers, ten, and one that is tried anyway
         connection.connect(config(f"runner.cpus_per_worker={cpus}"), tasks_left=100)
         assert found[-1] == room

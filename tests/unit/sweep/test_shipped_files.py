@@ -1,4 +1,4 @@
-"""Files that travel with a sweep: what a worker loads is what the driver had, whatever its machine has."""
+"""Files that travel with a sweep: a worker loads the driver's files, whatever its machine has."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_copy_is_made_once_and_mended_if_it_was_damaged(mine: Path) -> None:
 
 
 def test_bytes_out_of_the_object_store_cannot_be_written_to(mine: Path) -> None:
-    """Ray maps them read-only; so must everything here work."""
+    """Ray maps objects read-only; all code must work on them."""
     assets = own(mine)
     shipped = read_shipped_files([assets])
     for contents in shipped.values():

@@ -1,4 +1,4 @@
-"""Signals to a running sweep: whatever they meet, what has come back is committed and the status says how it ended."""
+"""Signals to a running sweep at any moment: returned results are committed, and the status states the end."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def state(folder: Path) -> str:
 
 
 def before(method: Callable[..., Any], first: Callable[[], object]) -> Callable[..., Any]:
-    """The method, with something done before it."""
+    """Return the method with another call before it."""
 
     @functools.wraps(method)
     def called(*arguments: Any) -> Any:
@@ -110,14 +110,14 @@ def test_the_second_signal_ends_a_task_that_takes_long(tmp_path: Path) -> None:
 
 
 def test_a_signal_while_the_driver_makes_what_workers_share_stops_the_sweep(tmp_path: Path) -> None:
-    """It is given the specs of the tasks that are left, without their scene."""
+    """The signal arrives while the specs of the remaining tasks are prepared, without their scene."""
     given: list[TaskSpec] = []
 
     def prepare(_: object, templates: Sequence[TaskSpec]) -> None:
         given.extend(templates)
         interrupt()
 
-    # As in a terminal: what is started in the background ignores the signal.
+    # As in a terminal: a process started in the background ignores the signal.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):

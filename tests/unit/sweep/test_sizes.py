@@ -32,11 +32,11 @@ PAPERS = {
     "finetune": (2000, 100),
     "finetune_held_out": (500, 100),
 }
-"""Tasks at full and at small size."""
+"""Number of tasks at full and at small size."""
 
 
 def counted(config: Config) -> Catalogue:
-    """As many scenes as the settings ask for."""
+    """Return a catalogue with as many scenes as the settings request."""
     assert isinstance(config.scenes, StreetConfig)
     names = [f"street-{number:03}" for number in range(config.scenes.count)]
     scenes = tuple(SceneEntry(name, "street-hdl64", name, SceneFacts(name)) for name in names)
@@ -58,7 +58,7 @@ def test_full_is_what_the_file_states(name: str) -> None:
     assert {config.size for config in configs} == {"full"} and {config.attack.steps for config in configs} == {40}
     assert isinstance(configs[0].scenes, StreetConfig)
     shape = [config for config in configs if config.mode == "shape"]
-    # A pose attack has no lambda: each is there once for every lambda here, and once in the plan.
+    # A pose attack has no lambda: it occurs once for every lambda in this list, and once in the plan.
     poses = {(config.vehicle.name, config.attack.alpha) for config in configs if config.mode == "pose"}
     assert (len(shape) + len(poses)) * configs[0].scenes.count == PAPERS[name][0]
 
@@ -120,9 +120,9 @@ def test_every_sweep_can_be_composed() -> None:
     ],
 )
 def test_tasks_of_sweeps_that_were_run_keep_their_ids(name: str, words: tuple[str, ...], spec_hash: str) -> None:
-    """Pinned before sizes and transfers were added: a finished or half-finished folder is found again.
+    """Pinned before sizes and transfers were added: finished and half-finished folders must be found.
 
-    Those sweeps asked points alone what holds a vehicle.
+    The constraints of those sweeps used points alone (attack.below_ground_m=0).
     """
     earlier = compose_sweep(name, (*words, "attack.below_ground_m=0"))
     assert make_plan(earlier, catalogue)[0].spec_hash == spec_hash

@@ -1,4 +1,4 @@
-"""What is said of a sweep to another shell: also after it was resumed or compacted, and at once."""
+"""Status of a sweep for another shell: also after a resumption or compaction, and at once."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def unloadable(*_: object) -> object:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A finished sweep whose driver said so."""
+    """A finished sweep whose driver reported its end."""
     valid_sweeps.write_sweep(tmp_path / "sweep")
     StatusWriter(CommitLog(tmp_path / "sweep", HASH), 2).write([], 1, "finished")
     return tmp_path / "sweep"
@@ -68,7 +68,7 @@ def test_a_compacted_sweep_is_finished_and_says_what_became_of_its_commits(folde
 
 
 def unfinished(folder: Path, state: str) -> CommitLog:
-    """A sweep of which one task is done, by a driver that said so and is not there any more."""
+    """Return a sweep with one task done, whose driver reported a state and is gone."""
     valid_sweeps.write_sweep(folder)
     last = max((folder / "_log").glob("*.json"))
     last.unlink()

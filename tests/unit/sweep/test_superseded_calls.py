@@ -1,4 +1,4 @@
-"""A call whose copy came first and that hangs: its worker is ended as any other, and its tasks are not tried again."""
+"""A hanging call whose copy came first: its worker is ended like any other, and its tasks are not tried again."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from shift3d.sweep.planning.kind import shift3d_kind
 
 
 class Ray:
-    """Holds results of calls by reference; ends no other call, answers no question, and starts no worker."""
+    """Ray that holds results by reference; it ends no other call, answers no question, and starts no worker."""
 
     exceptions = exceptions
 

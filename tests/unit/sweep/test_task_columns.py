@@ -20,7 +20,7 @@ TEXTS = ("", "suv", "a, b", 'quo"te', "back\\slash", "Straße", "\u2028", "車",
 
 
 def random_spec(rng: np.random.Generator) -> TaskSpec:
-    """Any spec: texts that JSON must escape, floats of all sizes, empty and nested mappings, transfers or none."""
+    """Return a random spec: texts to escape in JSON, floats of all sizes, nested mappings, transfers or none."""
 
     def text() -> str:
         return TEXTS[rng.integers(len(TEXTS))] + str(rng.integers(3))
@@ -64,7 +64,7 @@ def test_ids_of_many_are_the_ids_of_each() -> None:
     tasks = tasks_of(PlannedTask(spec, 0) for spec in specs)
     assert tasks.ids.to_pylist() == [spec.task_id for spec in specs]
     assert [task.spec for task in tasks] == specs
-    # The id that a task carries is the one that its spec gives.
+    # A task carries the id of its spec.
     assert [TaskSpec.from_dict(task.spec.to_dict()).task_id for task in tasks] == tasks.ids.to_pylist()
 
 
@@ -113,7 +113,7 @@ def test_columns_are_pickled_out_of_band(default_plan: Plan) -> None:
 
 
 def test_the_hash_is_of_the_names_and_all_ids_in_order(default_plan: Plan) -> None:
-    """And of a 5, whatever the schema version: folders of older programs keep their names."""
+    """The hash also covers a constant 5, for any schema version: folders of older programs keep their names."""
     ids = [task.spec.task_id for task in default_plan.tasks]
     text = json.dumps([5, "default", ids])
     assert default_plan.spec_hash == hashlib.blake2b(text.encode(), digest_size=8).hexdigest()

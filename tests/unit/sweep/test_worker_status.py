@@ -1,4 +1,4 @@
-"""What a process is at can be read by another one, whatever it hangs in."""
+"""A process can read another one's current task while that process hangs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGUSR2"), reason="no such 
 
 @pytest.fixture
 def hanging(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], tuple[str, subprocess.Popen[str]]]]:
-    # From a file, so that the lines of its stack can be shown.
+    # From a file, so that its stack trace can show source lines.
     script = tmp_path_factory.mktemp("hangs") / "hangs.py"
     script.write_text(HANGS)
     started: list[subprocess.Popen[str]] = []
@@ -66,7 +66,7 @@ def test_the_stack_of_a_task_that_hangs_ends_where_it_is(
     hanging: Callable[[str], tuple[str, subprocess.Popen[str]]], how: str, line: str
 ) -> None:
     path, process = hanging(how)
-    for _ in range(2):  # what was said the first time is not said again
+    for _ in range(2):  # text of the first time is not repeated
         at = read_worker_status(path, process.pid)
         assert at.index == 2 and 0.2 < at.seconds < 60
         assert at.stack.count("globals()[sys.argv[1]]()") == 1 and line in at.stack, at.stack
@@ -97,6 +97,6 @@ def test_a_process_that_is_gone_is_no_other_ones_business(
     process.wait()
     with pytest.raises(OSError):
         read_worker_status(path, process.pid)
-    # Its number may have another owner by now, which has no handler and would be ended by the signal.
+    # The process id may have another owner by now, without a handler, which the signal would end.
     with pytest.raises(OSError):
         read_worker_status(path, os.getpid())

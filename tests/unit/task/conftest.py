@@ -1,4 +1,4 @@
-"""What a worker holds, loaded once, and the tasks that were run on it: tests only read them."""
+"""A worker's assets, loaded once, and the tasks that were run on them; tests only read them."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def pose(assets: Assets) -> TaskResult:
 
 @pytest.fixture(scope="session")
 def moved(assets: Assets) -> TaskResult:
-    """The search of the shape task, and what it found put into another scene."""
+    """The search of the shape task, and its result in another scene."""
     alone = dataclasses.replace(SHORT, random_replicates=0, noise_replicates=0)
     return run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),), attack=alone), assets)
 
 
 @pytest.fixture(scope="session")
 def wide_reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache folder that holds the small reference set and nothing else: to copy."""
+    """A cache folder with only the small reference set, to copy."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))

@@ -1,4 +1,4 @@
-"""The real task that tests of this room share: shipped weights, a procedural street, a short search."""
+"""The real task shared by these tests: shipped weights, a procedural street, a short search."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KNOWN |= {"detector": "p", "accuracy": "a", "search": "descent"}
 NO_GRID: dict[str, Any] = {
     "accuracy_settings": accuracy_settings(AccuracyConfig(name="standard", render={"sdf_grid": False}))
 }
-"""Of a spec in an empty cache folder, where a grid is made again and takes longer than it saves."""
+"""For a spec with an empty cache folder, where making a grid takes longer than it saves."""
 WIDE = {"kind": "wide", "members": 40}
 """Settings of a small reference set."""
 

@@ -1,4 +1,4 @@
-"""The audit counts what is wrong with a rendering: faults are put into one, and every one of them is found."""
+"""The audit counts errors of a rendering: the tests insert faults, and the audit must find each of them."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def case(assets: Assets) -> tuple[TaskSpec, AttackProblem, Candidate, ScoredObje
     problem = build_problem(spec, assets, placement.theta)  # type: ignore[union-attr]
     candidate = Candidate("baseline", 0, problem.code0, problem.theta0)
     scored = score_object(problem, candidate.code, candidate.theta, 5.0)
-    # The truth in the rendering's place: whatever the audit finds then was put there.
+    # The truth replaces the rendering: the audit can find only inserted faults.
     with torch.no_grad():
         field = assets.decoder_of(torch.float64).field(problem.code0.double())
         truth = render(problem.beams, field, problem.theta0, problem.vehicle, REFERENCE)
@@ -63,7 +63,7 @@ def test_lost_and_invented_hits_are_counted(
     spec, problem, candidate, scored = case
     hits = scored.measurement.rendering.hit_mask
     everything = audit(spec, assets, problem, candidate, changed(scored, hit_mask=torch.ones_like(hits)))
-    # Beams are drawn among what is taken for hits: only some of them are.
+    # Beams are drawn among reported hits: only some of them are true hits.
     assert everything.found.false_hits == everything.audited_beams - everything.found.hits > 0
     nothing = audit(spec, assets, problem, candidate, changed(scored, hit_mask=torch.zeros_like(hits)))
     assert nothing.found.missed_hits == nothing.found.hits > 0 and nothing.found.false_hits == 0

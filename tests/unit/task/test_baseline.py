@@ -1,4 +1,4 @@
-"""Tasks that differ in their search alone share a baseline: a worker measures it once, and no byte depends on that."""
+"""Tasks that differ in their search alone share a baseline: a worker measures it once, without effect on any byte."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def without_times(result: TaskResult) -> dict[str, list]:
 
 
 def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone() -> None:
-    """Two workers run the same two specs, each another one first: the same rows."""
+    """Two workers run the same two specs in opposite order and give the same rows."""
     short = replace(SHORT, steps=1, random_replicates=0, noise_replicates=1)
     specs = make_spec(transfer_scenes=(TransferScene(THERE, ""),), attack=short), make_spec("pose", attack=short)
     one, other = (load_assets(AssetsSpec(scenes=STREET)) for _ in range(2))
@@ -50,7 +50,7 @@ def test_a_search_without_a_step_is_its_baseline_scored_once(assets: Assets) -> 
 
 
 def test_a_place_is_looked_for_once_a_worker(assets: Assets) -> None:
-    """By tasks of another accuracy, detector or search too, and by the effects of a vehicle that drives."""
+    """Tasks of another accuracy, detector or search share the place, and so do effects of a vehicle that drives."""
     fresh = replace(assets, poses={})
     expected = place_vehicle(make_spec(), fresh).theta  # type: ignore[union-attr]
     alike = [
@@ -62,11 +62,11 @@ def test_a_place_is_looked_for_once_a_worker(assets: Assets) -> None:
     for spec in alike:
         pose = placed_pose(spec, fresh)
         assert pose is not None and torch.equal(pose, expected)
-        pose += 1.0  # its owner's
+        pose += 1.0  # of its owner
     nowhere = make_spec(placement=PlacementSpec(min_object_points=1_000_000, attempts=2))
     assert placed_pose(nowhere, fresh) is None
     here, there = fresh.poses
-    fresh.poses |= {here: expected + 2.0, there: expected + 3.0}  # what is known is not looked for again
+    fresh.poses |= {here: expected + 2.0, there: expected + 3.0}  # a known pose is not computed again
     assert all(torch.equal(placed_pose(spec, fresh), expected + 2.0) for spec in alike)  # type: ignore[arg-type]
     assert torch.equal(placed_pose(nowhere, fresh), expected + 3.0)  # type: ignore[arg-type]
     for other in ({"scene": THERE}, {"vehicle": "coupe"}, {"replicate": 1}):

@@ -1,4 +1,4 @@
-"""Effects in real tasks: nothing of them where none is called for, and the same bytes whatever ran before."""
+"""Effects in real tasks: none without a call for them, and the same bytes after any earlier task."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ print(json.dumps({
 
 
 def test_a_dry_scene_with_one_return_runs_occlusion_alone_and_imports_no_effect() -> None:
-    """Planned with effects=auto, then run: the very task of effects=none, and the code of no effect is even read."""
+    """Planned with effects=auto, the task equals that of effects=none, and no effect's code is even read."""
     done = subprocess.run([sys.executable, "-c", PLAN_AND_RUN], capture_output=True, text=True, check=True)
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["same"] and found["effects"] == [] and 0.0 <= found["score"] <= 1.0
@@ -68,7 +68,7 @@ def test_a_dry_scene_with_one_return_runs_occlusion_alone_and_imports_no_effect(
 
 @pytest.fixture(scope="module")
 def rich(assets: Assets) -> Assets:
-    """The same but for its scenes."""
+    """The same assets with other scenes."""
     scenes = load_assets(AssetsSpec(scenes=RICH)).scenes
     return dataclasses.replace(assets, scenes=scenes, poses={}, _scenes=OrderedDict())
 
@@ -106,7 +106,7 @@ def test_a_written_scene_with_effects_gets_the_same_score(rich: Assets, everythi
     points, _ = read_points(tmp_path / "scene.bin")
     hits = np.load(tmp_path / "hit_mask.npy")
     assert len(hits) == len(points) and int(hits.sum()) == row["object_points"] > 0
-    assert float(np.linalg.norm(points, axis=1).max()) < 1e3  # what brings nothing back is not written
+    assert float(np.linalg.norm(points, axis=1).max()) < 1e3  # lost returns are not written
     theta = torch.tensor([solution[n] for n in ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")]).double()
     problem = build_problem(spec, rich, theta)
     (answer,) = score_points(problem, torch.from_numpy(points), theta, 5.0, {"p": problem.detector}).values()

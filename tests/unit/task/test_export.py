@@ -1,4 +1,4 @@
-"""A solution taken out of the sweep: what is loaded again is what was scored."""
+"""A solution exported from the sweep: loaded again, it equals the scored scene."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_export_renders_the_solution_again(exported: tuple[Path, Row, Row], asse
     hits = np.load(folder / "hit_mask.npy", allow_pickle=False)
     assert len(points) == len(scene.points) == len(hits)
     assert hits.sum() == scored["object_points"]
-    # What the vehicle does not hide is untouched to the bit; what it hides came nearer along its own beam.
+    # Points that the vehicle does not hide are unchanged bit for bit; hidden ones came nearer along their own beam.
     assert np.array_equal(points[~hits, :3], scene.points[~hits])
     moved, original = points[hits, :3].astype(float), scene.points[hits].astype(float)
     assert (np.linalg.norm(moved, axis=1) < np.linalg.norm(original, axis=1)).all()
@@ -186,7 +186,7 @@ def test_a_ground_file_that_is_none_is_refused(exported: tuple[Path, Row, Row], 
         with pytest.raises(InputError, match=printed):
             KittiScenes(tmp_path / "kitti").load(FRAME)
     path.unlink()
-    assert abs(KittiScenes(tmp_path / "kitti").load(FRAME).ground_z_m + 1.73) < 0.35  # estimated, as KITTI's own
+    assert abs(KittiScenes(tmp_path / "kitti").load(FRAME).ground_z_m + 1.73) < 0.35  # estimated, like KITTI's
 
 
 def test_a_pose_is_exported_where_it_stands(
@@ -229,7 +229,7 @@ def test_every_file_of_an_export_is_looked_for_and_others_are_not(
 
 
 def test_a_baseline_is_rendered_again_to_the_bit(shape: TaskResult, assets: Assets) -> None:
-    """With the SDF grid that its task has: the report, a suite and a fine-tuning see the scene that was scored."""
+    """The rendering uses its task's SDF grid: report, suite and fine-tuning see the scene that was scored."""
     (solution,) = (row for row in shape.solutions if row["method"] == "baseline")
     again = render_solution(SPEC, solution, assets)
     theta = torch.tensor([solution[name] for name in POSE], dtype=torch.float64)

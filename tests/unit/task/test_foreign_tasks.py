@@ -1,4 +1,4 @@
-"""A task against a detector of another codebase: from what a worker is sent to rows."""
+"""A task against a detector of another codebase: from the data sent to a worker to rows."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from shift3d.task.exchange import AssetsSpec
 from shift3d.task.run import run_task
 
 CODEBASES = ("openpcdet", "mmdet3d")
-# The first step of the search is as long in a direction of no gradient as in any, so rounding moves what it finds.
+# The first step has the same length in a direction without gradient as in any other, so rounding changes the result.
 NEAR = {"openpcdet": 6e-2, "mmdet3d": 5e-2}
 
 
 @pytest.fixture(scope="module")
 def sent(tmp_path_factory: pytest.TempPathFactory) -> AssetsSpec:
-    """What a worker is sent: PointPillars in both codebases' layouts, and as it ships."""
+    """Data sent to a worker: PointPillars in both codebases' layouts, and as shipped."""
     files, layouts = {}, {}
     for codebase in CODEBASES:
         port = PORTS[f"{codebase}-pointpillars"]
         config, weights = port.saved(tmp_path_factory.mktemp(codebase))
         layouts[codebase] = json.loads(json.dumps(foreign_layout(codebase, config, port.choices)))
-        config.unlink()  # a worker has none
+        config.unlink()  # a worker has no config file
         files[codebase] = str(weights)
     hashes = {name: detector_hash(name, files[name], None, layouts[name]) for name in CODEBASES}
     return AssetsSpec(scenes=STREET, detectors={**files, "pointpillars": None}, hashes=hashes, layouts=layouts)
@@ -46,7 +46,7 @@ def assets(sent: AssetsSpec) -> Assets:
 
 
 def attacked(detector: str, assets: Assets) -> dict[str, dict[str, Any]]:
-    """The rows of a short attack, by method."""
+    """Return the rows of a short attack, by method."""
     attack = dataclasses.replace(SHORT, noise_replicates=0, random_replicates=0)
     accuracy = accuracy_settings(AccuracyConfig(name="standard", render={"sdf_grid": False}))
     task = make_spec(detector=detector, scored_by=(detector,), attack=attack, accuracy_settings=accuracy)

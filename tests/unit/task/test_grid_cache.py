@@ -1,4 +1,4 @@
-"""SDF grids in the cache folder: the bits of the first making, and nothing that is torn, changed or another's."""
+"""SDF grids in the cache folder: the bits of the first computation; torn, changed or foreign files are not used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tasks whose vehicle has parameters: a search over kinds, and an edit that is asked for."""
+"""Tasks whose vehicle has parameters: a search over kinds, and a requested edit."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_search_over_kinds_says_as_which_vehicle_its_shape_is_drawn(wide: Asse
     again = render_solution(spec, solution, wide)
     assert again.problem.size_m.tolist() == list(vehicle.size_m)
     assert again.rendering.object_points == scored["object_points"]
-    # On the ground where the baseline stands.
+    # On the ground at the baseline's place.
     (baseline,) = by_method(found, "baseline")
     bottoms = [row["z_m"] - height / 2 for row, height in ((scored, vehicle.size_m[2]), (baseline, 1.45))]
     assert bottoms[0] == pytest.approx(bottoms[1], abs=0.1)
@@ -62,7 +62,7 @@ def test_a_universal_search_over_kinds_puts_each_kind_into_every_scene(wide: Ass
     code = torch.tensor(solution["latent_code"])
     there = score_object(problem, code, on_ground(code, problem, SNAP_M), 5.0).answers["pointpillars"].adversarial_loss
     kept = found.trajectories[by_method(found, "adversarial")[0]["best_step"]]
-    # The search rendered it in bfloat16's company, to a few thousandths.
+    # The search rendered it partly in bfloat16, to a few thousandths.
     assert kept["loss"] == pytest.approx((kept["adversarial_loss"] + there) / 2, rel=0.02)
     assert kept["loss"] != pytest.approx(kept["adversarial_loss"], rel=0.05)
 
@@ -74,7 +74,7 @@ def test_a_search_that_cannot_go_over_kinds_is_refused() -> None:
 
 
 def test_a_vehicle_without_parameters_is_a_kind_of_its_own() -> None:
-    """Its shape moves along the principal components of the set's codes; its length is its own."""
+    """The vehicle's shape moves along the principal components of the set's codes; its length is its own."""
     assets = load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": None}))
     attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family", components=6)
     found = run_task(make_spec(vehicle="suv", lambda_=0.0, attack=attack), assets)

@@ -1,4 +1,4 @@
-"""Naturalness of a set's vehicles in the cache folder: the bits of the first measuring, nothing torn or another's."""
+"""Naturalness of a set's vehicles in the cache folder: the bits of the first measurement, no torn or foreign file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SPEC = AssetsSpec(scenes=STREET, reference=WIDE)
 
 
 class Counted(NaturalnessMeter):
-    """Says of every vehicle the same, and counts."""
+    """Meter that returns the same measure for every vehicle, and counts the calls."""
 
     def __init__(self, answer: NaturalnessMeasure = SHAPE) -> None:
         self.answer, self.measured = answer, 0
@@ -45,7 +45,7 @@ class Counted(NaturalnessMeter):
 
 @pytest.fixture(autouse=True)
 def cache(wide_reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Of what is measured; beside it lies the reference set alone."""
+    """Cache folder of measures, which holds only the reference set at first."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(shutil.copytree(wide_reference, tmp_path / "cache")))
     return tmp_path / "cache" / "shift3d" / "natural_kinds"
 
@@ -76,7 +76,7 @@ def test_another_reference_set_is_measured_anew(shipped: VehicleSource) -> None:
 def test_code_that_makes_another_reference_set_measures_anew(
     shipped: VehicleSource, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A measure is held against the members of the set: what they depend on, it depends on."""
+    """A measure compares with the members of the set, so it depends on everything that determines them."""
     made: list[str] = []
     measured: list[str] = []
     monkeypatch.setattr("shift3d.naturalness.build.program_digest", lambda *parts: made.extend(parts) or "digest")
@@ -109,7 +109,7 @@ def test_a_file_that_is_torn_or_changed_is_made_again(shipped: VehicleSource, ca
 def test_the_driver_measures_every_kind_before_the_workers(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a bar, with the workers' threads, and once: a worker then measures shapes that it found alone."""
+    """The driver measures once, with a bar and the workers' threads: a worker then measures its found shapes alone."""
     spec = make_spec(attack=FAMILY, lambda_=0.0, reference_hash=source_hash(reference_source(WIDE)), **NO_GRID)
     threads = torch.get_num_threads()
     prepare_naturalness(SPEC, [spec])
@@ -131,7 +131,7 @@ def test_the_driver_measures_every_kind_before_the_workers(
 
 
 def measured_codes(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
-    """The codes that are measured from here on."""
+    """Record the codes measured from this point on."""
     codes: list[np.ndarray] = []
     measure = NaturalnessMeter.of_code
 
@@ -165,7 +165,7 @@ def test_a_search_over_kinds_without_a_budget_measures_none(cache: Path) -> None
 
 
 def test_vehicles_beyond_their_budget_are_named_before_anything_runs() -> None:
-    """Each of their tasks would fail; those of a pose, and of a search over kinds, would not."""
+    """All their tasks would fail, except those of a pose and of a search over kinds."""
     tight = AttackSpec(naturalness=1e-6)
     prepare_naturalness(SPEC, [make_spec("pose", attack=tight), make_spec(attack=AttackSpec(naturalness=100.0))])
     templates = [make_spec(vehicle=name, attack=tight) for name in ("suv", "coupe")]
@@ -174,7 +174,7 @@ def test_vehicles_beyond_their_budget_are_named_before_anything_runs() -> None:
 
 
 def test_a_budget_that_no_kind_keeps_is_refused_before_anything_runs() -> None:
-    """Each of its tasks would fail, and other values of an axis do not help. A task that runs alone says the same."""
+    """Each of its tasks would fail, and no other value of an axis helps. A task alone gives the same error."""
     tight = make_spec(attack=replace(FAMILY, naturalness=1e-6), reference_hash=source_hash(reference_source(WIDE)))
     prepare_naturalness(SPEC, [make_spec(attack=FAMILY)])
     error = r"space=family, attack\.naturalness=1e-06: no vehicle.*nearest is \w+ \(percentile [\d.]+\)\. Give a larger"

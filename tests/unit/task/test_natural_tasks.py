@@ -1,4 +1,4 @@
-"""Naturalness of a task's shapes: measured, bounded, and no part of a task that asks for none."""
+"""Naturalness of a task's shapes: measured, bounded, and no part of a task that does not request it."""
 
 from __future__ import annotations
 

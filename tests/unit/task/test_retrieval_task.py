@@ -1,4 +1,4 @@
-"""Kin of one solution: the shape that stands in its place is that of the pool's code."""
+"""Kin of one solution: the shape in its place is that of the pool's code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def finished(shape: TaskResult, assets: Assets, tmp_path_factory: pytest.TempPat
 
 
 def pool_of(assets: Assets, **changes: Any) -> Pool:
-    """A pool that holds the task's own vehicle."""
+    """Return a pool that holds the task's own vehicle."""
     suv = assets.vehicles.vehicle("suv")
     row = {"status": "fitted", "flags": [], "dataset": "d", "scene": "s", "label": 0, "kind": "Car", "score": 0.5}
     row |= {"latent_code": suv.latent_code.tolist(), "scale_m": suv.scale_m, "range_m": 20.0, "points": 100}
@@ -38,7 +38,7 @@ def pool_of(assets: Assets, **changes: Any) -> Pool:
 def test_the_unchanged_vehicle_in_the_place_of_a_shape_scores_as_the_baseline_whose_coordinates_it_may_have(
     finished: VerifyAssets,
 ) -> None:
-    """Coordinates are of the vehicles that a pool was fitted with: those of a sweep may be others of its decoder."""
+    """Coordinates belong to the vehicles that a pool was fitted with; a sweep may have others of its decoder."""
     found = [
         retrieval_task(make_spec(), RetrievalAssets(finished, pool_of(finished.assets, coordinates=u))).retrieved
         for u in (np.zeros(10).tolist(), [4.0, *[0.0] * 9])

@@ -1,4 +1,4 @@
-"""Scores: from the scene without the object those of the whole scene; none depends on another, nor on other boxes."""
+"""Scores: from the scene without the object they equal those of the whole scene; none depends on another box."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ OBJECT = np.array([20.0, 3.0, 0.8, 4.5, 1.8, 1.5, 0.3])
 
 
 class WholeScene:
-    """A detector that gives the same proposals whatever window it is asked for, as the user's own does."""
+    """Detector that gives the same proposals for any window, like a user's own detector."""
 
     name = "whole"
 
@@ -39,7 +39,7 @@ class WholeScene:
 
 
 def better_boxes(where: str) -> np.ndarray:
-    """Boxes that do not touch the object's: so many in one place, or apart, that suppression has had enough."""
+    """Return boxes that do not touch the object's: in one place, or apart, in numbers that exhaust suppression."""
     if where == "one place":
         return np.tile(OBJECT + np.array([9.0, 0, 0, 0, 0, 0, 0]), (5000, 1))
     x, y = (part.reshape(-1) for part in np.meshgrid(np.arange(-18, 18, 1.2), np.arange(-18, 18, 1.2)))
@@ -60,7 +60,7 @@ def test_a_low_score_is_its_own_however_many_boxes_elsewhere_score_higher(where:
 
 
 def test_a_box_that_the_detector_never_reports_is_no_score() -> None:
-    """As next to the peak of a heat map."""
+    """A box next to the peak of a heat map, for example, is never reported."""
     beside = OBJECT + np.array([0.3, 0, 0, 0, 0, 0, 0])
     detector = WholeScene(np.stack((beside, OBJECT)), np.array([0.07, 0.05]))
     detector.found = replace(detector.found, reported=torch.tensor([False, True]))

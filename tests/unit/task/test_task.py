@@ -1,4 +1,4 @@
-"""One real task: shipped weights, a procedural street, a short search. What must hold whatever the numbers are."""
+"""One real task with shipped weights, a procedural street and a short search: properties for any numbers."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_content_that_changed_after_planning_is_refused(assets: Assets) -> None:
 
 
 def with_second_detector(assets: Assets, name: str) -> Assets:
-    """The same assets, and a small detector under the second one's name: its weights need not ship for this."""
+    """Return the same assets, and a small detector under the second name, whose weights need not ship."""
     wave = WaveDetector()
     wave.name = name
     both = dataclasses.replace(assets, detectors={**assets.detectors, name: None})

@@ -1,4 +1,4 @@
-"""Where a task's time goes: every search that it makes says so by stage, that of the comparison among them."""
+"""A task's times: every search, including that of the comparison, reports its time by stage."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_the_times_of_the_comparison_stand_beside_those_of_the_search(assets: As
     attack = replace(attack, noise_replicates=0, random_replicates=0)
     result = run_task(make_spec(attack=attack), assets)
     spent = {(row["method"], row["stage"]): row for row in result.timings}
-    # Of the search the baseline and one step, each at two places; the draws are never descended from.
+    # The baseline and one step of the search, each at two places; no descent starts from the draws.
     assert spent["adversarial", "backward"]["milliseconds"] > 0.0
     assert spent["random_budget", "render"]["calls"] == 1 + 2 + 1  # baseline, draws, and the winner's own score
     assert ("random_budget", "backward") not in spent

@@ -1,4 +1,4 @@
-"""What was found in one scene, put into another."""
+"""A solution of one scene, put into another."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_the_unchanged_shape_changes_no_score_anywhere(assets: Assets) -> None:
 
 def test_transfers_are_beside_the_task_and_change_nothing_else(moved: TaskResult, shape: TaskResult) -> None:
     assert shape.transfers == []
-    # The search is the same; what is drawn at random belongs to the task's id.
+    # The search is the same; random draws depend on the task's id.
     for method in ("baseline", "adversarial"):
         assert by_method(moved, method) == by_method(shape, method)
         assert [solution(result, method) for result in (moved, shape)] == [solution(shape, method)] * 2
@@ -94,7 +94,7 @@ def test_a_scene_that_was_searched_in_judges_nothing(assets: Assets) -> None:
     problem = build_problem(there, assets, placement.theta)
     alone = score_object(problem, problem.code0, placement.theta, 5.0).answers["pointpillars"].adversarial_loss
     first = found.trajectories[0]
-    # Scored again from where it stands; the search rendered it in bfloat16's company, to a few thousandths.
+    # Scored again at its place; the search rendered it partly in bfloat16, to a few thousandths.
     assert first["loss"] == pytest.approx((first["adversarial_loss"] + alone) / 2, rel=0.02)
 
 

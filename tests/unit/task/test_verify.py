@@ -1,4 +1,4 @@
-"""A verification says of every solution whether it is still hard; faults are put in, and each one is named."""
+"""A verification states for every solution if it is still hard; the tests insert faults, and each one is named."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_a_baseline_that_moves_takes_the_margin_with_it() -> None:
 def test_half_of_the_margin_must_be_left_in_every_draw() -> None:
     assert row(verified(0.3, draws=0.54))["robust"]
     assert not row(verified(0.3, draws=0.56))["robust"]
-    # The baseline gets the same draws: what it loses counts too.
+    # The baseline gets the same draws: its loss counts too.
     assert not row(verified(0.3), verified(0.8, draws=0.5))["robust"]
 
 
@@ -94,7 +94,7 @@ def test_scores_take_what_was_verified_and_nothing_else_changes() -> None:
 def finished(
     pose: TaskResult, assets: Assets, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[TaskSpec, VerifyAssets]:
-    """One real pose task, and final tables of its baseline and of what its search found."""
+    """One real pose task, and final tables of its baseline and of its search's result."""
     spec = make_spec("pose")
     rows = completed_rows(spec, "one", pose)
     folder = tmp_path_factory.mktemp("final")
@@ -110,15 +110,15 @@ def test_a_real_solution_is_scored_again(finished: tuple[TaskSpec, VerifyAssets]
     assert [found["method"] for found in result.verification] == ["baseline", "adversarial"]
     for found in result.verification:
         assert found["score_again"] == found["score"]  # bit for bit
-        # One beam of this object crosses it for 12 mm, 0.13 mm deep, and chords below 2 cm may be lost: where it is,
-        # the detector's score moves by 0.005.
+        # One beam crosses this object for 12 mm, 0.13 mm deep, and chords below 2 cm may be lost: the detector's score
+        # then changes by 0.005.
         lost = found["missed_hits"] + found["wrong_surface"]
         assert found["false_hits"] == 0 and lost <= 1
         assert abs(found["score_reference"] - found["score"]) < (1e-2 if lost else 1e-3) and found["stable"]
         assert found["hits_reference"] >= 150 and found["depth_error_max_m"] < 1e-3
-        # The draws are not the score again.
+        # The draws differ from the repeated score.
         assert found["score_noise"] != found["score"] != found["score_nearby"]
-    # Another task with the same baseline: that is known by then.
+    # Another task with the same baseline, which the assets know from the first task.
     for name in ("scores", "solutions"):
         write_table(tmp_path / f"{name}.parquet", table_from_rows(name, held._rows(name, spec.task_id)[:1]))
     known = verify_task(spec, replace(held, results=as_location(tmp_path), _tables={}))
@@ -131,7 +131,7 @@ def test_a_task_without_solutions_has_nothing_to_verify(finished: tuple[TaskSpec
 
 
 def test_a_machine_that_does_not_see_the_sweeps_folder_loads_nothing(tmp_path: Path) -> None:
-    """Ray then leaves it out. Loaded, it would fail, and quarantine, every task that it is given."""
+    """Ray then leaves the machine out: with loaded assets it would fail, and quarantine, every task that it gets."""
     elsewhere = AssetsSpec(scenes={}, results=str(tmp_path / "final"))
     with pytest.raises(InputError, match=r"final/solutions\.parquet: is not there on this machine\. Put the sweep"):
         load_verify_assets(elsewhere)

@@ -15,7 +15,7 @@ GROUND_Z_M = -1.73
 
 
 def small_scene(name: str, seed: int = 0) -> Scene:
-    """Four labels (three vehicles with 50, 5 and 50 points and a pedestrian); the first point carries no beam."""
+    """Return four labels (three vehicles with 50, 5 and 50 points and a pedestrian); the first point has no beam."""
     boxes = np.array(
         [
             [10.0, 5.0, -0.93, 4.5, 1.8, 1.6, 0.3],
@@ -38,7 +38,7 @@ def small_scene(name: str, seed: int = 0) -> Scene:
 
 
 class SmallScenes:
-    """Scenes small-0 to small-4; the last one cannot be read where ``broken``."""
+    """Scenes small-0 to small-4. broken: the last one cannot be read."""
 
     dataset = "small"
     placement_sector_rad = (0.0, float(np.pi))
@@ -60,7 +60,7 @@ def open_broken_scenes() -> SceneSet:
 
 
 class PointDetector:
-    """A car at each of the first 40 points, scored by a sum over all points: quick, and no two scenes alike."""
+    """Detector with a car at each of the first 40 points, scored by a sum over all points: quick, unique per scene."""
 
     name = "points"
 

@@ -1,4 +1,4 @@
-"""Targets and losses of heads without anchors: peaks, what they decode to, and what is left untrained."""
+"""Targets and losses of heads without anchors: peaks, their decoded boxes, and entries without training."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_box_of_no_code_is_finite() -> None:
 def test_targets_decode_to_the_vehicle_and_peak_at_its_cell() -> None:
     target = assign_centres(WAYMO_GRID, WINDOW, VEHICLE, YES, centre_radius=1)
     peak = int(target.heat.argmax())
-    # x = 0.3 lies in column floor(75.18 / 0.32), y = -0.7 in line floor(74.18 / 0.32).
+    # x = 0.3 is in column floor(75.18 / 0.32), y = -0.7 in line floor(74.18 / 0.32).
     assert _cells(torch.tensor([peak])).tolist() == [[234, 231]]
     assert target.heat.max() == 1.0 and (target.heat == 1.0).sum() == 1
     assert len(target.positives) == 9 and peak in target.positives.tolist()

@@ -61,7 +61,7 @@ def test_a_scaled_vehicle_keeps_its_bottom_and_its_points() -> None:
 
 
 def test_a_stretched_vehicle_keeps_its_heading_and_its_points_their_places_in_the_box() -> None:
-    """Each axis of a box has a factor of its own, and points keep their shares of length, width and height."""
+    """Each axis of a box has its own factor, and points keep their shares of length, width and height."""
     stretched = replace(NONE, object_stretch=(0.7, 1.3))
     points, boxes = augment_vehicles(POINTS, BOXES, stretched, np.random.default_rng(0))
     factors = boxes[:, 3:6] / BOXES[:, 3:6]
@@ -78,7 +78,7 @@ def test_a_stretched_vehicle_keeps_its_heading_and_its_points_their_places_in_th
 
 
 def test_dropped_scan_lines_are_whole() -> None:
-    """Points on lines of known elevation: a line goes or stays, all of it."""
+    """Points are on lines of known elevation: a line is dropped or kept as a whole."""
     elevation = np.deg2rad(np.repeat(np.arange(-20, 2, 0.2), 50))
     azimuth = np.tile(np.linspace(-3, 3, 50), len(elevation) // 50)
     range_m = 20.0

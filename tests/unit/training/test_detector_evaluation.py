@@ -1,4 +1,4 @@
-"""Detections over scenes: frames, what counts in KITTI, and the same bits from several processes."""
+"""Detections over scenes: frames, vehicles that count in KITTI, and the same bits from several processes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from shift3d.training.detector_scenes import from_scene, network_points
 
 
 class _Known:
-    """Answers with given network-frame boxes, and notes what it was asked."""
+    """Detector that answers with given network-frame boxes, and records its calls."""
 
     name = "known"
 
@@ -84,7 +84,7 @@ def _bits(frame: DetectedFrame) -> tuple[object, ...]:
 
 
 def test_several_processes_give_the_same_bits_in_the_same_order_and_the_same_error() -> None:
-    """The last of the five scenes cannot be read: those before it arrive, then the error, from either."""
+    """The last of the five scenes cannot be read: the scenes before it arrive, then the error, from either."""
     seen = []
     for workers in (1, 2):
         frames = []
@@ -134,8 +134,8 @@ def test_in_kitti_frames_cars_count_and_labels_are_graded(tmp_path: Path) -> Non
     # 50 pixels and in the open; 30 pixels and partly hidden; as the first; more than half outside the image.
     assert frame.truth.difficulty.tolist() == [0, 1, 0, 3]
     assert frame.found.labelled.tolist() == [True, False]
-    # Its lower edge in the image is that of the rear, 18 m away and 1.7 m below the camera; its upper one that of the
-    # front, 22 m away and 0.2 m below.
+    # Its lower image edge is that of the rear, 18 m away and 1.7 m below the camera; its upper edge that of the front,
+    # 22 m away and 0.2 m below.
     assert frame.found.image_height_px[0] == pytest.approx(700 * (1.7 / 18 - 0.2 / 22), abs=1e-6)
 
 
@@ -161,7 +161,7 @@ def test_what_another_program_detected_is_detected_again(
         return int(pq.read_table(tmp_path / "out" / "detections.parquet").num_rows)
 
     before = found()
-    for file in (tmp_path / "out" / "scenes").iterdir():  # as a program that found nothing would have left it
+    for file in (tmp_path / "out" / "scenes").iterdir():  # like the files of a program without detections
         with np.load(file) as data:
             kept = dict(data)
         nothing = {name: kept[name][:0] for name in ("boxes", "scores", "labelled", "image_height_px")}

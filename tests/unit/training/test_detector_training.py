@@ -1,4 +1,4 @@
-"""Targets, losses and the training loop of the detector, on hand-made scenes."""
+"""Targets, losses and the training loop of the detector, on handmade scenes."""
 
 from dataclasses import fields, replace
 from math import pi
@@ -52,7 +52,7 @@ TINY = Recipe(
 
 
 def _scene(name: str) -> TrainingScene:
-    """A flat ground with boxes whose faces carry points."""
+    """Return a flat ground with boxes whose faces have points."""
     rng = np.random.default_rng(int(name))
     ground = rng.uniform((-40, -40, 0), (40, 40, 0.02), (4000, 3))
     clouds, boxes = [ground], []
@@ -194,7 +194,7 @@ def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
 
 
 def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Path) -> None:
-    """The class head too: what is attacked is what was trained. Encoder and backbone keep their weights."""
+    """The class head settles too: the attacked network is the trained one. Encoder and backbone keep their weights."""
     mesh = cache_scenes(tmp_path / "mesh", ["0", "1"], _scene)
     start = train_on_scenes(tmp_path / "a", TINY, mesh, stop_after=TINY.steps).state_dict()
     tuned = train_on_scenes(tmp_path / "a", TINY, mesh)
@@ -211,7 +211,7 @@ def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Pa
 
 
 def test_processes_make_the_batches_of_a_thread(tmp_path: Path) -> None:
-    """Beside a GPU crops come from processes: the same ones, in the order of the steps."""
+    """Beside a GPU, processes make the same crops, in the order of the steps."""
     files = cache_scenes(tmp_path, ["0", "1"], _scene)
     for recipe, workers in ((TINY, 1), (replace(TINY, heads="centres"), 2)):
         net = recipe.new_network()
@@ -230,7 +230,7 @@ def test_processes_make_the_batches_of_a_thread(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("recipe", [TINY, replace(TINY, heads="centres"), replace(TINY, network=SST_SMALL_SPEC)])
 def test_examples_give_the_features_of_their_crops(recipe: Recipe, tmp_path: Path) -> None:
-    """Points sorted by pillars beforehand, and several clouds side by side: to the bit what each crop gives."""
+    """Points sorted by pillars, and several clouds side by side, give the features of each crop bit for bit."""
     files = cache_scenes(tmp_path, ["0", "1"], _scene)
     net = recipe.new_network().eval()
     crops = RandomCrops(recipe, net.grid, files, [], None)
@@ -269,7 +269,7 @@ def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:
 
 
 def test_scenes_of_another_program_are_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cache_scenes(tmp_path / "scenes", ["5"], lambda _: _scene("4"))  # as a program before would have built it
+    cache_scenes(tmp_path / "scenes", ["5"], lambda _: _scene("4"))  # like the file of an earlier program
     read, part = Path.read_bytes, "/scenes/street/raycast.py"
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(part))
     monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)

@@ -1,4 +1,4 @@
-"""An epoch takes every object once, cut about it, between crops of scenes without one."""
+"""An epoch takes every object once, in a crop about it, between crops of scenes without objects."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NATURAL_M, OBJECTS = 4.0, 7
 
 
 def scene(name: str) -> TrainingScene:
-    """Two vehicles far from each other; the last one's length tells which it is: 5 m and a centimetre a number."""
+    """Return two vehicles far apart; the last one's length identifies it: 5 m plus its number in centimetres."""
     kind, number = name.split("-")
     rng = np.random.default_rng(int(number))
     length = NATURAL_M if kind == "natural" else 5.0 + 0.01 * int(number)
@@ -41,7 +41,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], list[Pa
 
 
 def taken(recipe: Recipe, files: tuple[list[Path], list[Path]], steps: int) -> list[float]:
-    """Length of the last box of every crop."""
+    """Return the length of the last box of every crop."""
     crops = EpochCrops(recipe, WAYMO_GRID, *files, None)
     found = []
     for step in range(steps):

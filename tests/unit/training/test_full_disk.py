@@ -1,4 +1,4 @@
-"""Weights and checkpoints on a disk that takes no more: one clear error, and what was there stays."""
+"""Weights and checkpoints on a full disk: one clear error, and existing files stay."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ WRITERS: dict[str, Callable[[Path], None]] = {
 
 @pytest.fixture
 def full(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """No file of this process may pass 1 kB: the write itself fails, as on a full disk."""
-    # Python 3.11 would leave a cut .pyc behind of what is imported meanwhile, and fail at it from then on.
+    """No file of this process may exceed 1 kB: the write itself fails, as on a full disk."""
+    # Python 3.11 would leave truncated .pyc files of modules imported meanwhile, and fail on them later.
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1024, before[1]))

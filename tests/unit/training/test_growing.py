@@ -1,4 +1,4 @@
-"""A network grown from a small one computes what that one does, and its duplicates part."""
+"""A network grown from a small one computes the same function, and training separates its duplicates."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WINDOW = BevWindow(200, 200, 32, 32, 200, 200, 32, 32)
 
 
 def _trained(spec: SstSpec) -> SstNet:
-    """A network whose every tensor is its own: norms too, as after a training."""
+    """Return a network with different values in every tensor: norms too, as after a training."""
     torch.manual_seed(1)
     net = SstNet(spec)
     for name, tensor in net.state_dict().items():
@@ -60,7 +60,7 @@ def test_without_its_new_layers_it_computes_what_the_small_one_does() -> None:
     large.transformer.spec = replace(spec.transformer, blocks=SMALL.transformer.blocks)
     assert wanted.abs().max() > 0.5
     assert torch.allclose(_outputs(large), wanted, atol=1e-4)
-    # With them it is off by what a norm that stands for the identity changes.
+    # With norms it is off by the change of a norm that replaces the identity.
     assert 1e-4 < (whole - wanted).abs().max() < 0.5 * wanted.std()
 
 

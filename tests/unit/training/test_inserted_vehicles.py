@@ -1,4 +1,4 @@
-"""Inserted vehicles: the label is the box of the mesh, on the ground, and the points lie on its surface."""
+"""Inserted vehicles: the label is the mesh's box on the ground, and the points are on the mesh's surface."""
 
 import numpy as np
 import trimesh
@@ -16,7 +16,7 @@ SIZE_M = (4.4, 1.8, 1.5)
 
 
 class _Boxes:
-    """A fleet whose every vehicle is the same box."""
+    """Fleet whose every vehicle is the same box."""
 
     def slot_m(self, variant: int) -> Size:
         return SIZE_M
@@ -28,7 +28,7 @@ class _Boxes:
 
 
 def _ground_sweep() -> TrainingScene:
-    """What 60 downward beams see of a flat ground, and one parked vehicle's box."""
+    """Return the view of 60 downward beams of a flat ground, and one parked vehicle's box."""
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 1000), np.deg2rad(np.linspace(-24, -1.6, 60)))
     distance = (1.8 / np.tan(-elevation)).ravel()
     x, y = distance * np.cos(azimuth.ravel()), distance * np.sin(azimuth.ravel())
@@ -37,7 +37,7 @@ def _ground_sweep() -> TrainingScene:
 
 
 def _from_box(points: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Distance (N,) of points to a box's surface."""
+    """Return the distance (N,) of points to a box's surface."""
     cos, sin = np.cos(box[6]), np.sin(box[6])
     local = np.abs((points - box[:3]) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])) - box[3:6] / 2
     outside = np.linalg.norm(np.maximum(local, 0.0), axis=1)
@@ -64,14 +64,14 @@ def test_points_lie_on_the_surface_along_their_own_beams_and_nothing_is_touched(
         shorter = np.linalg.norm(after, axis=1) / np.linalg.norm(before, axis=1)
         assert shorter.max() < 1.0
         np.testing.assert_allclose(after, before * shorter[:, None], atol=1e-3)
-        # No beam is left that goes through a vehicle.
+        # No remaining beam passes through a vehicle.
         inside = points_in_boxes(result.points, new - np.array((0, 0, 0, 0.02, 0.02, 0.02, 0)))
         assert not inside.any()
     assert added >= 8
 
 
 def test_what_stands_before_a_vehicle_keeps_its_points() -> None:
-    """A wall all around at 7 m: behind it nothing can be seen, and the scene stays as it is."""
+    """A wall surrounds the sensor at 7 m: nothing behind it is visible, and the scene stays unchanged."""
     scene = _ground_sweep()
     offset = scene.points - np.array((0.0, 0.0, 1.8))
     wall = np.array((0.0, 0.0, 1.8)) + offset * np.minimum(1.0, 7.0 / np.linalg.norm(offset, axis=1))[:, None]

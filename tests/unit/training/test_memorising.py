@@ -1,4 +1,4 @@
-"""Every detector memorises one crop: its losses fall, and it then finds what the crop holds."""
+"""Every detector memorises one crop: its losses fall, and it then finds the crop's objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A decoder whose codes are made of the generator's parameters: samples, training, and the vehicle set it leaves."""
+"""A decoder whose codes consist of the generator's parameters: samples, training, and its vehicle set."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_samples_are_distances_to_the_mesh_in_the_kinds_frame(shapes: WideShapes
 def test_samples_of_another_family_are_made_again(
     sample: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of one program they are read back from where they were kept."""
+    """Samples of the same program are read back from disk."""
     first = sample(2, 60, 3, tmp_path, 1).points
     (kept,) = tmp_path.rglob("*.npz")
     with np.load(kept) as data:

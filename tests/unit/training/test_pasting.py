@@ -1,4 +1,4 @@
-"""Ground-truth sampling: a pasted vehicle stands free on the ground, is seen as it was, and hides what is behind it."""
+"""Ground-truth sampling: a pasted vehicle is placed free on the ground, keeps its view, and hides points behind it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _ground(rng: np.random.Generator, count: int = 60_000, z_m: float = 0.0) -> 
 
 
 def _on(box: np.ndarray, rng: np.random.Generator, count: int = 400) -> np.ndarray:
-    """Points on the two faces of a box that a sensor at the origin sees best."""
+    """Return points on the two faces of a box that a sensor at the origin sees best."""
     local = rng.uniform(-0.5, 0.5, (count, 3))
     side = rng.random(count) < 0.5
     to_sensor = -box[:2] @ np.array([[np.cos(box[6]), -np.sin(box[6])], [np.sin(box[6]), np.cos(box[6])]])
@@ -80,7 +80,7 @@ def test_pasted_vehicles_stand_on_the_ground_and_touch_nothing(database: Vehicle
 
 
 def test_a_vehicle_is_seen_from_the_side_that_was_measured(database: VehicleDatabase) -> None:
-    """At the same range, the beam meets it under the same angle and the points have the same places in its box."""
+    """A vehicle pasted at the same range keeps its angle to the beam and its points' places in the box."""
     for seed in range(20):
         scene = pasted(_empty(), database, np.array((0.0, 24.0)), 8.0, SAME_RANGE, 5, np.random.default_rng(seed))
         for box in scene.boxes:
@@ -96,12 +96,12 @@ def test_points_thin_with_the_square_of_the_distance(database: VehicleDatabase) 
     for seed in range(60):
         scene = pasted(_empty(), database, np.array((45.0, 0.0)), 5.0, farther, 5, np.random.default_rng(seed))
         counts += [int(inside.sum()) for inside in points_in_boxes(scene.points, scene.boxes, 0.02)]
-    # The ground under a box counts too, but for what its own shadow takes: all of it.
+    # The ground under a box counts too, and its own shadow removes all of that.
     assert len(counts) > 10 and np.mean(counts) == pytest.approx(400 / 4, rel=0.15)
 
 
 def test_nothing_is_left_behind_a_pasted_vehicle() -> None:
-    """A wall of points 10 m behind a box: gone is what the box hides, and no more."""
+    """Points of a wall 10 m behind a box are removed only if the box hides them."""
     origin, box = np.array((0.0, 0.0, HEIGHT_M)), _box(20.0, 0.0, 0.0)
     y, z = (axis.reshape(-1) for axis in np.meshgrid(np.linspace(-6, 6, 121), np.linspace(0.01, 6, 121)))
     wall = np.stack((np.full_like(y, 30.0), y, z), axis=1).astype(np.float32)
@@ -111,7 +111,7 @@ def test_nothing_is_left_behind_a_pasted_vehicle() -> None:
     top = HEIGHT_M - (HEIGHT_M - 1.6) * 30.0 / 22.25  # over the far edge of the roof
     assert wall[hidden, 2].max() == pytest.approx(top, abs=0.06)
     assert not behind_box(wall - np.float32([20, 0, 0]), origin, box).any()  # in front of it
-    assert not behind_box(wall * np.float32([-1, 1, 1]), origin, box).any()  # in the sensor's back
+    assert not behind_box(wall * np.float32([-1, 1, 1]), origin, box).any()  # behind the sensor
     assert behind_box(np.array([[20.0, 0.0, 0.5]], np.float32), origin, box).all()  # inside
 
 

@@ -1,4 +1,4 @@
-"""Recipes: words change fields, what cannot be trained by is refused, warm starts draw the same boxes."""
+"""Recipes: words change fields, unusable values are refused, warm starts draw the same boxes."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_a_file_without_an_anchor_size_has_the_published_one(tmp_path: Path) -> 
 
 def test_exported_weights_are_half_as_large_and_score_the_same(tmp_path: Path) -> None:
     net = random_net("pointpillars")
-    net.heads.classes.bias.data[0] = 1e5  # beyond what half precision holds, as a batch variance may be
+    net.heads.classes.bias.data[0] = 1e5  # beyond half precision, like some batch variances
     file = tmp_path / "pointpillars.safetensors"
     export_weights(net, file, Recipe())
     loaded = weights_module.load_weights(PointPillarsNet(net.spec, anchors=net.heads.anchors), file)
@@ -139,7 +139,7 @@ def test_a_backbone_from_another_detector_comes_without_its_heads(
 
 @pytest.mark.parametrize("name", ["pointpillars", "sst"])
 def test_recomputed_statistics_are_those_that_inference_meets(name: str) -> None:
-    """Every norm's input at inference, over the same crops, has the mean and variance that the norm keeps."""
+    """Over the same crops, every norm's input at inference has the mean and variance that the norm stores."""
     net = random_net(name).double()
     clouds = [random_scene(6000, seed).double() for seed in range(6)]
     before = {key: tensor.clone() for key, tensor in net.state_dict().items()}
@@ -157,7 +157,7 @@ def test_recomputed_statistics_are_those_that_inference_meets(name: str) -> None
         net.features(clouds, [WINDOW] * 6)
     for key, module in norms.items():
         values = seen[key].transpose(0, 1).flatten(1)
-        # To n / (n - 1): a norm divides by the one in training and keeps the other, of some thousand values.
+        # To n / (n - 1): a norm divides by one variance in training and stores the other, of some thousand values.
         assert ((module.running_mean - values.mean(dim=1)).abs() < 0.01 * values.std(dim=1)).all(), key
         assert torch.allclose(module.running_var, values.var(dim=1), rtol=0.02, atol=1e-6), key
         assert module.momentum == 0.01

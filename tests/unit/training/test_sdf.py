@@ -64,7 +64,7 @@ def test_loss_falls(shapes: Path) -> None:
 
 def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path, shapes: Path) -> None:
     samples = shape_samples(TINY.shapes, TINY.samples_a_shape, TINY.seed, shapes, 1)
-    samples.distances[1] = float("nan")  # as of a damaged mesh
+    samples.distances[1] = float("nan")  # as from a damaged mesh
     with pytest.raises(InputError, match=r"loss of step 1 is not finite"):
         sdf.train_sdf(tmp_path, TINY, samples=samples)
 
@@ -87,7 +87,7 @@ def test_checkpoint_that_is_no_checkpoint_names_the_file(tmp_path: Path) -> None
     content = (tmp_path / "good.pt").read_bytes()
     for place in range(content.index(b"step") - 20, content.index(b"step") + 60):
         (tmp_path / "bad.pt").write_bytes(content[:place] + b"\xff" + content[place + 1 :])
-        with contextlib.suppress(InputError):  # and nothing else
+        with contextlib.suppress(InputError):  # and no other error
             read_checkpoint(tmp_path / "bad.pt")
     again = read_checkpoint(tmp_path / "good.pt")
     assert again["step"] == 3

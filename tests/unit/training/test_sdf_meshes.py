@@ -29,7 +29,7 @@ SAMPLES = 800
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A box and a ball of a car's size, and an open sheet. Tests only read it."""
+    """A box and a ball of a car's size, and an open sheet; tests only read it."""
     root = tmp_path_factory.mktemp("shapes") / "meshes"
     root.mkdir()
     trimesh.creation.box((4.0, 1.8, 1.4)).export(root / "suv_box.ply")
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def sheet() -> trimesh.Trimesh:
-    """It encloses nothing; small, since what has gaps is wrapped first."""
+    """Return a sheet that encloses nothing; small, because a mesh with gaps is wrapped first."""
     return trimesh.Trimesh([[0, 0, 0], [2.5, 0, 0.2], [2.5, 0.3, 0], [0, 0.3, 0.2]], [[0, 1, 2], [0, 2, 3]])
 
 
@@ -51,7 +51,7 @@ def sampled(folder: Path, seed: int = 1) -> MeshShapes:
 
 @pytest.fixture(scope="module")
 def sampled_once(folder: Path) -> tuple[MeshShapes, str]:
-    """The shapes of the folder, and what was printed when they were sampled."""
+    """The shapes of the folder, and the text printed by their sampling."""
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         return sampled(folder), printed.getvalue()
 

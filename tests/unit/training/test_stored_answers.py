@@ -45,7 +45,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     next(begun)
     next(begun)
     begun.close()
-    (tmp_path / "small-0.npz").unlink()  # missing in the middle of what is there
+    (tmp_path / "small-0.npz").unlink()  # a gap among existing files
     requested: list[str] = []
 
     def detect(names: list[str]) -> Iterator[SceneDetections]:
@@ -79,7 +79,7 @@ def test_what_was_detected_in_other_files_is_detected_again(tmp_path: Path) -> N
         list(stored_or_detected(NAMES, tmp_path, detect, states.__getitem__))
         return list(requested)
 
-    for answer in _detect(["small-3"]):  # of a program that did not say of which files
+    for answer in _detect(["small-3"]):  # of a program that did not state the files
         write_scene_detections(tmp_path / "small-3.npz", answer)
     assert run() == NAMES and run() == []
     states["small-1"] = "changed"

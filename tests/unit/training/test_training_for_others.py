@@ -1,4 +1,4 @@
-"""Training on scenes of any set: resumed, interrupted, recorded, and never over the weights that ship."""
+"""Training on scenes of any set: resumed, interrupted, recorded, and never over the shipped weights."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ BOX = (8.0, 0.0, -0.93, 4.0, 1.8, 1.6, 0.0)
 
 
 def _cloud(seed: int = 0, count: int = 3000) -> np.ndarray:
-    """Ground around the sensor, and a car-sized block of points ahead of it."""
+    """Return ground around the sensor, and a car-sized block of points ahead of it."""
     rng = np.random.default_rng(seed)
     ground = rng.uniform((-30, -30, -1.75), (30, 30, -1.71), (count, 3))
     block = np.asarray(BOX[:3]) + rng.uniform(-0.5, 0.5, (300, 3)) * BOX[3:6]
@@ -72,7 +72,7 @@ def _scene(name: str) -> TrainingScene:
 
 
 def _kitti(root: Path) -> Path:
-    """Two frames in KITTI's layout, camera axes along the LiDAR's, a car 8 m ahead."""
+    """Write two frames in KITTI's layout, camera axes along the LiDAR's, a car 8 m ahead."""
     axes = "0 -1 0 0 0 0 -1 0 1 0 0 0"
     lines = f"P2: 700 0 600 0 0 700 180 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {axes}\n"
     car = "Car 0.00 0 0.0 500 150 600 200 1.60 1.80 4.00 0.00 1.73 8.00 -1.570796\n"
@@ -167,7 +167,7 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
     assert facts["compute"]["steps_by_device"] == {"cpu": facts["steps"]}
     assert facts["versions"]["torch"] == torch.__version__
     state = torch.load(out / "checkpoint.pt", weights_only=True)
-    del state["steps_by_device"]  # as of a program that does not count them
+    del state["steps_by_device"]  # like a program that does not count them
     torch.save(state, out / "checkpoint.pt")
     assert command.train(recipe.detector, options) == weights
 
@@ -231,7 +231,7 @@ def test_frames_that_have_changed_since_are_not_taken_from_the_cache(tmp_path: P
 
 
 def test_only_the_labelled_sector_is_trained_on() -> None:
-    """A car inside keeps points beyond the edge, one outside loses those within it, and the rest is cut."""
+    """A car inside keeps points beyond the edge, a car outside loses those within it, and the rest is cut."""
     edge = np.tan(0.6) * 10.0
     inside, outside = (10.0, edge - 0.5, 0.8, 4.0, 1.8, 1.6, 0.0), (10.0, edge + 0.5, 0.8, 4.0, 1.8, 1.6, 0.0)
     points = np.array([[10, 0, 0], [10, edge - 0.2, 0.8], [10, edge + 0.2, 0.8], [-10, 0, 0], [1, 9, 0]], np.float32)
@@ -291,7 +291,7 @@ def test_training_on_cuda_follows_the_cpu(recipe: Recipe, tmp_path: Path) -> Non
 
 
 def test_steps_0_settles_weights_that_are_there_and_nothing_else(tmp_path: Path) -> None:
-    """Without a start there would be nothing to settle: random weights, and heads on top of them."""
+    """There is nothing to settle without a start: random weights, and heads on top of them."""
     words = {"model": "pointpillars", "out": str(tmp_path), "steps": "0"}
     options = _options({**words, "start_from": "shipped"})
     recipe = command.detector_recipe("pointpillars", options)

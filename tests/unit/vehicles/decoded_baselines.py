@@ -1,4 +1,4 @@
-"""The five baselines as the shipped decoder draws them: each takes a second, and several files measure them."""
+"""The five baselines decoded by the shipped decoder: each takes a second, and several files measure them."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ def _decoder() -> Decoder:
 
 @functools.cache
 def decoded_baseline(name: str) -> trimesh.Trimesh:
-    """Its mesh: tests only read it."""
+    """Return the baseline's mesh; tests only read it."""
     return vehicle_mesh(baseline_vehicles()[name], _decoder(), resolution=RESOLUTION)

@@ -23,7 +23,7 @@ TREAD_M = 0.075  # below any body, the lowest of which is 9 cm up
 
 @dataclass(frozen=True)
 class Dimensions:
-    """What was measured, metres. clearance_m: lowest point of the body between the wheels, above the ground."""
+    """Measured dimensions, metres. clearance_m: lowest point of the body between the wheels, above the ground."""
 
     length_m: float
     width_m: float
@@ -38,10 +38,9 @@ def measure(mesh: trimesh.Trimesh) -> Dimensions:
 
     Args:
         mesh: object frame (x forward, y left, z up), metres; it stands on its lowest point.
-    Returns: outer size from the bounds; the others from beams shot up from below, 1 cm apart along x and 2 cm
-        along y. The front and rear half each touch the ground in one stretch; a circle through the tread gives axle
-        and tyre.
-    Raises: InputError where the mesh does not stand on wheels.
+    Returns: outer size from the bounds; the others from beams shot up from below, 1 cm apart along x and 2 cm along y.
+        The front and rear half each touch the ground in one stretch; a circle through the tread gives axle and tyre.
+    Raises: InputError if the mesh does not stand on wheels.
     Source: our choice: definitions of ISO 612 (length, width, height, wheelbase, ground clearance).
     """
     low, high = np.asarray(mesh.bounds)
@@ -60,7 +59,7 @@ def measure(mesh: trimesh.Trimesh) -> Dimensions:
 
 
 def _underside(mesh: trimesh.Trimesh, low: Array, high: Array) -> tuple[Array, Array]:
-    """x (A,), and the height above the ground of the lowest surface there at any y (A,), inf where there is none."""
+    """Return x (A,), and the lowest surface's height above the ground at any y (A,), inf without a surface."""
     x = np.arange(low[0] + ALONG_M / 2, high[0], ALONG_M)
     y = np.arange(low[1] + ACROSS_M / 2, high[1], ACROSS_M)
     at_x, at_y = np.meshgrid(x, y, indexing="ij")
@@ -73,7 +72,7 @@ def _underside(mesh: trimesh.Trimesh, low: Array, high: Array) -> tuple[Array, A
 
 
 def _wheel(x: Array, underside: Array) -> tuple[float, float]:
-    """Axle x and tyre radius from the lowest profile of one half: a circle on the ground, fitted to the tread.
+    """Return axle x and tyre radius from the lowest profile of one half: a circle on the ground, fitted to the tread.
 
     A circle of radius r that touches the ground under a: (x - a)^2 + z^2 = 2 r z, linear in (a, a^2, r).
     """

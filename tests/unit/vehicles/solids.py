@@ -11,7 +11,7 @@ from shift3d.vehicles.mesh_files import SHAPENET_FILE
 
 
 def wedge(length: float = 4.0, width: float = 1.8, height: float = 1.4) -> trimesh.Trimesh:
-    """A solid that tells its axes apart: x forward, y left, z up, low at the nose, with a lamp at the left of it.
+    """Return a solid with distinct axes: x forward, y left, z up, low at the nose, with a lamp at the left of the nose.
 
     Its volume is length * width * height * 3 / 4 and a cube's of 0.2.
     """
@@ -25,7 +25,7 @@ def wedge(length: float = 4.0, width: float = 1.8, height: float = 1.4) -> trime
 
 
 def write_shapenet(root: Path, solids: dict[str, trimesh.Trimesh]) -> Path:
-    """A folder in ShapeNet's layout, its files in ShapeNet's axes: nose -z, up +y; with a mesh that is none of it."""
+    """Write a folder in ShapeNet's layout and axes (nose -z, up +y), with one mesh outside the layout."""
     for name, solid in solids.items():
         file = root / "02958343" / name / SHAPENET_FILE
         file.parent.mkdir(parents=True)

@@ -45,7 +45,7 @@ def test_vehicle_is_mirror_symmetric() -> None:
 
 
 def test_body_types_differ_where_they_should() -> None:
-    """Heights of the middle column of beams from above: a bed and a cabin are open, a wagon's roof reaches back."""
+    """Beams from above show heights of the middle column: a bed and a cabin are open, a wagon's roof reaches back."""
 
     def top_z(body_type: str, x_share: float) -> float:
         mesh = build_mesh(sample_spec(body_type, generator("test reads", body_type)), resolution_m=0.05)
@@ -73,7 +73,7 @@ def test_family_is_deterministic_balanced_and_without_repeats() -> None:
 
 
 def test_the_embedded_family_is_what_the_shipped_decoder_was_trained_on() -> None:
-    """Numbers of the trained vehicles, to the bit, and of their meshes: other body types must leave them alone."""
+    """Numbers of the trained vehicles and their meshes stay, bit for bit: other body types must not change them."""
     specs = family(len(family_vehicles()), family_seed())
     digest = hashlib.blake2b(repr(specs).encode(), digest_size=16).hexdigest()
     assert digest == "4b26688cb1bb7b587e10026a87d5ff03"

@@ -31,13 +31,13 @@ from shift3d.vehicles.vehicle import baseline_vehicles, family_vehicles, vehicle
 
 @pytest.fixture(scope="module")
 def mesh() -> trimesh.Trimesh:
-    """A vehicle of the family that the decoder was never given."""
+    """A vehicle of the family that the decoder was not trained on."""
     return build_mesh(sample_spec("hatchback", generator("fit test")), resolution_m=0.05)
 
 
 @pytest.fixture
 def hatchback(mesh: trimesh.Trimesh, tmp_path: Path) -> Path:
-    """It as a file in millimetres, nose along -z, roof along +y."""
+    """The mesh as a file in millimetres, nose along -z, roof along +y."""
     x, y, z = np.asarray(mesh.vertices).T * 1000.0
     file = tmp_path / "hatchback of mine.obj"
     trimesh.Trimesh(np.column_stack([-y, z, -x]), mesh.faces).export(file)
@@ -114,14 +114,14 @@ def test_what_closing_a_mesh_took_is_printed(
 
 
 def contents(folder: Path, below: str = "*") -> dict[str, tuple[int, bytes]]:
-    """Of a folder's files by name: when they were written, and their bytes."""
+    """Return files of a folder by name: time of writing, and bytes."""
     files = [file for file in folder.rglob(below) if file.is_file() and not file.name.startswith(".")]
     return {str(file.relative_to(folder)): (file.stat().st_mtime_ns, file.read_bytes()) for file in files}
 
 
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> str:
-    """Fits that take a second, here and in a process that runs the given source first."""
+    """Settings for fits of a second, here and (by the returned source) in another process."""
     for module, name, value in ((fit, "SAMPLES", 2_000), (vehicle_set, "RESOLUTION", 33), (orientation, "STEPS", 1)):
         monkeypatch.setattr(module, name, value)
     values = "fit.SAMPLES, vehicle_set.RESOLUTION, orientation.STEPS = 2_000, 33, 1"
@@ -163,7 +163,7 @@ def test_another_mesh_word_decoder_or_program_and_a_damaged_file_are_fitted_agai
     save_decoder(load_decoder(), tmp_path / "other.safetensors")
 
     def fitted(*words: str) -> int:
-        """How many entries a fit wrote."""
+        """Run a fit. Returns the number of entries that it wrote."""
         before = contents(out / "kept")
         main(["fit", str(cube), "unit=m", f"out={out}", *(words or ("steps=1",))])
         return len(contents(out / "kept").items() - before.items())

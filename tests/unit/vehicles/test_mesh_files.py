@@ -1,4 +1,4 @@
-"""Meshes from files: found, read, and turned into the object frame; what cannot be is refused by name."""
+"""Meshes from files: found, read, and turned into the object frame; unusable files are refused by name."""
 
 from __future__ import annotations
 

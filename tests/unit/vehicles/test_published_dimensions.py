@@ -25,7 +25,7 @@ MEASURED = 18  # vehicles of the shipped family that are built and measured: two
 
 
 def _box_on_wheels() -> trimesh.Trimesh:
-    """A box 4 x 1.8 x 1 m whose floor is 0.2 m up, on four wheels of radius 0.3 m with axles at x = 1.2 and -1.4."""
+    """Return a box 4 x 1.8 x 1 m, floor 0.2 m up, on four wheels of radius 0.3 m with axles at x = 1.2 and -1.4."""
     parts = [trimesh.creation.box((4.0, 1.8, 1.0), trimesh.transformations.translation_matrix((0, 0, 0.7)))]
     upright = trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))
     for x in (1.2, -1.4):
@@ -37,7 +37,7 @@ def _box_on_wheels() -> trimesh.Trimesh:
 
 
 def _stated(spec: VehicleSpec) -> Dimensions:
-    """What a vehicle was built with."""
+    """Return the dimensions that a vehicle was built with."""
     return Dimensions(
         spec.length_m, spec.width_m, spec.height_m, spec.wheelbase_m, spec.clearance_m, 2.0 * spec.wheel_radius_m
     )
@@ -45,7 +45,7 @@ def _stated(spec: VehicleSpec) -> Dimensions:
 
 def test_a_box_on_wheels_measures_what_it_was_built_with() -> None:
     mesh = _box_on_wheels()
-    mesh.apply_translation((3.0, -1.0, 0.4))  # where it stands does not matter
+    mesh.apply_translation((3.0, -1.0, 0.4))  # its place does not matter
     found = measure(mesh)
     assert (found.length_m, found.width_m, found.height_m) == pytest.approx((4.0, 1.8, 1.2), abs=1e-6)
     assert found.wheelbase_m == pytest.approx(2.6, abs=0.002)

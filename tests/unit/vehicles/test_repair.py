@@ -1,4 +1,4 @@
-"""Repair of meshes: what is counted, what stays where it is, what is wrapped, and what is refused."""
+"""Repair of meshes: counted defects, unmoved parts, wrapped meshes, and refusals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.repair import RepairReport, close_mesh, correctly_oriented_share
 
 SIZE = (4.0, 1.8, 1.4)
-SMALL = (2.0, 1.0, 0.8)  # the grid that gaps are bridged on has so many nodes a cubic metre
+SMALL = (2.0, 1.0, 0.8)  # the grid that bridges gaps has this many nodes per cubic metre
 
 
 def body(size: tuple[float, float, float] = SIZE, at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
@@ -117,7 +117,7 @@ def test_pieces_that_touch_in_an_edge_are_closed() -> None:
 
 
 def panels(gap_m: float, box: tuple[float, float, float] = SIZE) -> trimesh.Trimesh:
-    """A box as six sheets that end short of its edges, three of them facing inwards, around a seat."""
+    """Return a box as six sheets that end short of its edges, three of them facing inwards, around a seat."""
     sheets = []
     for axis in range(3):
         for side in (-0.5, 0.5):
@@ -209,7 +209,7 @@ def test_published_cars_are_closed(real_data: Callable[[str], Path]) -> None:
     vehicle = read_mesh_vehicle(files[0], frame)
     assert str(vehicle.repair) == "closed; nothing to repair"
     assert vehicle.size_m[0] == pytest.approx(4.5)
-    # One has collapsed faces, and edges of four: closed all the same.
+    # One mesh has collapsed faces, and edges of four faces: closed all the same.
     wagon = read_mesh_vehicle(next(file for file in files if file.name.startswith("wagon_292")), frame)
     assert wagon.repair.dropped_faces == 4
     assert not wagon.repair.wrapped

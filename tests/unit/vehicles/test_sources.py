@@ -18,14 +18,14 @@ from shift3d.vehicles.sources import VehicleSet, space_hash, vehicle_hash, vehic
 from shift3d.vehicles.vehicle import BASELINES, DEFAULT_VEHICLES, vehicle_mesh
 
 HALF = np.array([0.35, 0.25, 0.9])  # sdf units: x width, y up, z length
-CENTRE = np.array([1.0, -2.0, 2.0]) / 64.0  # nodes of the grid that measures: an octahedron has sharp tips
+CENTRE = np.array([1.0, -2.0, 2.0]) / 64.0  # nodes of the measuring grid: an octahedron has sharp tips
 NAMES = ("van_1", "van_2", "suv_1")
 
 
 def write_octahedra(folder: Path) -> Path:
-    """g = tanh(0.2 (sum |x - centre| / half - 1 - z0 / 10)): an octahedron that grows with the code's first number.
+    """Write g = tanh(0.2 (sum |x - centre| / half - 1 - z0 / 10)): an octahedron that grows with code number z0.
 
-    Codes are (0, ...), (1, ...) and (2, ...), each with a second number of 1 that does nothing.
+    Codes are (0, ...), (1, ...) and (2, ...), each with a second number of 1 that has no effect.
     """
     (folder / "ModelParameters").mkdir(parents=True)
     (folder / "LatentCodes").mkdir()
@@ -145,7 +145,7 @@ def test_the_shipped_vehicles_are_a_set_like_any_other(tmp_path: Path) -> None:
 def test_a_real_car_stands_on_its_wheels_nose_first(
     real_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A pickup: its bed, behind, is lower than its cab; its size is a car's."""
+    """A pickup's bed, behind, is lower than its cab; its size is a car's."""
     monkeypatch.setattr(vehicle_module, "MEASURED_RESOLUTION", 49)
     source = DeepSdfVehicles(real_data("decoder"))
     (name,) = (name for name in source.names() if name.startswith("pickup_28d"))

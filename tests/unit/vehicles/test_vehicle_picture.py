@@ -1,4 +1,4 @@
-"""Pictures: what the camera sees, where."""
+"""Pictures: content and place of the camera's view."""
 
 from __future__ import annotations
 

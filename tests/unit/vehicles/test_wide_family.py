@@ -37,7 +37,7 @@ def drawn(kind: str, draw: int = 0) -> WideSpec:
 
 
 def top_m(mesh: trimesh.Trimesh, x: float, y: float = 0.0) -> float:
-    """Height above the ground of the highest surface at (x, y)."""
+    """Return the height above the ground of the highest surface at (x, y)."""
     origin = np.array([[x, y, 9.0]])
     hit = mesh.ray.intersects_location(origin, [[0.0, 0.0, -1.0]], multiple_hits=False)[0]
     return float(hit[0, 2] - mesh.bounds[0, 2]) if len(hit) else 0.0
@@ -55,7 +55,7 @@ def test_every_kind_is_one_closed_body_of_the_stated_size(kind: str, monkeypatch
     assert mesh.is_watertight and mesh.body_count == 1 and mesh.volume > 0.0
     assert mesh.extents == pytest.approx(spec.size_m, abs=1e-6)
     assert mesh.bounds.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
-    # What is stated is what the parts say, and scaling only takes away what the grid rounds.
+    # The stated size is that of the parts, and scaling only removes the grid's rounding.
     assert np.abs(unscaled[0] - spec.size_m).max() < STEP_M
     assert spec.kind == kind
 
@@ -102,7 +102,7 @@ def test_trailers_lie_within_published_sizes_and_have_no_cab() -> None:
 
 
 def test_clearance_is_the_stated_one() -> None:
-    """Beams shot up between the wheels meet the floor where the spec says it is."""
+    """Beams shot up between the wheels meet the floor at the height that the spec states."""
     for kind in ("sedan", "pickup+lifted", "kei_car", "limousine", "high_roof_van"):
         spec = drawn(kind)
         car = spec.chassis
@@ -114,7 +114,7 @@ def test_clearance_is_the_stated_one() -> None:
 
 
 def test_attributes_are_where_they_belong() -> None:
-    """Each is told from the vehicle without it by where its surface is."""
+    """Each attribute changes the surface of the vehicle at its own place."""
 
     def pair(kind: str) -> tuple[WideSpec, WideSpec, trimesh.Trimesh, trimesh.Trimesh]:
         having = drawn(kind)
@@ -177,7 +177,7 @@ def test_seen_vehicles_are_seen_and_held_out_ones_are_not() -> None:
     assert not any(set(kind.split("+")) <= set(SPLIT.seen) for kind in held_out)
     names = {name for kind in seen for name in kind.split("+")}
     assert names == set(SPLIT.seen) and set(CYCLE) == set(SPLIT.types("seen"))
-    # Every held-out name as often as any other, and one thing unseen a vehicle.
+    # Every held-out name as often as any other, and one unseen name per vehicle.
     unseen = [[name for name in kind.split("+") if name in SPLIT.held_out] for kind in held_out]
     assert all(len(names) == 1 for names in unseen)
     counts = {name: sum(names == [name] for names in unseen) for name in SPLIT.held_out}

@@ -1,4 +1,4 @@
-"""The vehicles that ship with a parametric decoder: what their codes are made of, and how well it draws them."""
+"""The vehicles shipped with a parametric decoder: the parameters in their codes, and its accuracy on them."""
 
 from __future__ import annotations
 

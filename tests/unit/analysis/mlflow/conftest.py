@@ -1,4 +1,4 @@
-"""A store of one's own, from an empty one that is made once: MLflow takes seconds to lay its tables."""
+"""A separate MLflow store per test, copied from an empty one made once: MLflow takes seconds to create its tables."""
 
 from __future__ import annotations
 
@@ -23,6 +23,6 @@ def _empty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def uri(_empty: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Of a store in the test's folder, where it then stands: artifacts of a sqlite store go to ./mlruns."""
+    """Address of a store in the test's folder, the working directory: artifacts of a sqlite store go to ./mlruns."""
     monkeypatch.chdir(tmp_path)
     return f"sqlite:///{shutil.copy(_empty, tmp_path / FILE)}"

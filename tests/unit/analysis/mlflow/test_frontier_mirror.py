@@ -1,4 +1,4 @@
-"""A real sqlite MLflow: one run a measured table, every setting told apart, and never the frontier's failure."""
+"""A real sqlite MLflow: one run per measured table, every setting distinct, and MLflow never fails the frontier."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def runs_of(uri: str) -> list[Any]:
 
 
 def test_a_run_a_table_with_every_number_and_file(tmp_path: Path, uri: str) -> None:
-    # More than a thousand numbers: MLflow takes that many at once.
+    # More than a thousand numbers, MLflow's limit per call.
     rows = [*realistic_rows(), *realistic_rows("kitti")]
     folder = folder_of(tmp_path / "frontier", rows)
     assert mirror_frontier(folder, uri, "shift3d") is None

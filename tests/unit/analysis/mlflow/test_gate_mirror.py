@@ -1,4 +1,4 @@
-"""A gate in a real sqlite MLflow: once a gate, however often it is mirrored, and never the gate's failure."""
+"""A gate in a real sqlite MLflow: once per gate, however often it is mirrored; MLflow never fails the gate."""
 
 from __future__ import annotations
 
@@ -34,5 +34,5 @@ def test_a_gate_is_one_run_with_its_measures(tmp_path: Path, uri: str) -> None:
         "gate.parquet",
         "verdict.json",
     }
-    (tmp_path / "store").touch()  # a file where a folder should be
+    (tmp_path / "store").touch()  # a file in place of a folder
     assert "\n" not in (mirror_gate(tmp_path / "out", f"sqlite:///{tmp_path}/store/mlflow.db") or "\n")

@@ -1,4 +1,4 @@
-"""A real sqlite MLflow: a run a sweep and a run below it a group, written again in place, never the sweep's failure."""
+"""A real sqlite MLflow: a run per sweep, a child run per group, updated in place; never fails the sweep."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def record(folder: Path, rows: list[Any] = ROWS, **counts: float) -> SweepRecord
 
 @pytest.fixture(scope="module")
 def mirrored(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A store that MLflow makes itself, with the sweep in it: tests only read it."""
+    """A store that MLflow makes itself, with the sweep in it; tests only read it."""
     folder = tmp_path_factory.mktemp("mirrored")
     uri = f"sqlite:///{folder / 'mlflow.db'}"
     with pytest.MonkeyPatch.context() as patch:
@@ -60,7 +60,7 @@ def mirrored(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def runs_in(uri: str) -> tuple[Any, Any, dict[str, Any]]:
-    """(client, the sweep's run, its groups' by name)."""
+    """Return (client, the sweep's run, its group runs by name)."""
     from mlflow import MlflowClient
 
     client = MlflowClient(uri)

@@ -1,4 +1,4 @@
-"""`shift3d ui` as a real process: one of them, gone after any signal, and never on a port that is taken."""
+"""`shift3d ui` as a real process: a single one, ended by any signal, and never on a port in use."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from shift3d.cli.main import main
 from shift3d.errors import InputError
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-# What the tests' own process ignores, as SIGHUP under nohup, its children would ignore too.
+# Children inherit ignored signals of the tests' own process, such as SIGHUP under nohup.
 UI = ["env", "--default-signal=HUP,INT,TERM", sys.executable, "-m", "shift3d", "ui", "--port", "0"]
 SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)  # SIGKILL: it is one process
 Server = tuple[subprocess.Popen[str], str]
@@ -33,7 +33,7 @@ Server = tuple[subprocess.Popen[str], str]
 
 @pytest.fixture(scope="module")
 def store(_empty: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The address of a store with one run, and the run. Servers read it."""
+    """Address of a store with one run, and the run; servers read it."""
     from mlflow import MlflowClient
 
     folder = tmp_path_factory.mktemp("store")
@@ -49,7 +49,7 @@ def store(_empty: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @contextlib.contextmanager
 def serving(folder: Path, store: str) -> Iterator[Server]:
-    """(the process, its address), in a session of its own and answering."""
+    """Run a server in its own session until it answers. Yields (the process, its address)."""
     command = [*UI, "--uri", store.split()[0]]
     began = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True, start_new_session=True)
     assert began.stdout
@@ -64,13 +64,13 @@ def serving(folder: Path, store: str) -> Iterator[Server]:
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory, store: str) -> Iterator[Server]:
-    """One that several tests read and none ends."""
+    """A server that several tests read and none ends."""
     with serving(tmp_path_factory.mktemp("server"), store) as found:
         yield found
 
 
 def session(pid: int) -> list[int]:
-    """Processes of the session that ``pid`` leads, without those that only wait to be read."""
+    """Return the processes of the session that ``pid`` leads, without zombies."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         try:

@@ -1,4 +1,4 @@
-"""A store that MLflow cannot have is found out before a sweep, not after it."""
+"""A store that MLflow cannot use is reported before a sweep, not after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curves of a training in a real sqlite MLflow: every step once, and never the training's failure."""
+"""Curves of a training in a real sqlite MLflow: every step once; MLflow never fails the training."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_curves_of_an_interrupted_training_are_one_run(uri: str) -> None:
 
 
 def test_points_wait_for_an_mlflow_that_is_away(tmp_path: Path, uri: str) -> None:
-    (tmp_path / "store").touch()  # a file where a folder should be
+    (tmp_path / "store").touch()  # a file in place of a folder
     curves = TrainingCurves(f"sqlite:///{tmp_path}/store/mlflow.db", "training", "train", "key", {})
     curves([(1, {"loss": 1.0})])
     assert curves.problem and "\n" not in curves.problem
@@ -57,7 +57,7 @@ def test_a_recipe_that_could_not_be_written_is_written_with_the_next_points(
 
     curves = TrainingCurves(uri, "training", "train", "key", {"steps": 4})
     with monkeypatch.context() as away:
-        away.setattr(MlflowClient, "log_batch", gone)  # the run is there, and then MLflow is not
+        away.setattr(MlflowClient, "log_batch", gone)  # the run exists, and then MLflow is gone
         curves([])
     assert curves.problem and "gone" in curves.problem
     curves([(1, {"loss": 1.0})])

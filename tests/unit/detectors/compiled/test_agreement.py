@@ -1,4 +1,4 @@
-"""A compiled detector is held against its original wherever either finds something."""
+"""A compiled detector is compared with its original wherever either has a detection."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def pair(folder: Path, bias: float = 0.0, **parts: object) -> tuple[UserDetector
 
 @dataclasses.dataclass
 class OneBox:
-    """Finds one box, of a score."""
+    """Detector that finds one box with a given score."""
 
     score: float
     name: str = "own"
@@ -45,7 +45,7 @@ def test_the_same_function_agrees(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("bias", [3.9e-3, -3.9e-3])
 def test_less_than_the_tolerance_is_taken(tmp_path: Path, bias: float) -> None:
-    """Near one half, a score changes by a quarter of its logit."""
+    """A score near one half changes by a quarter of its logit."""
     assert 0.9 * TOLERANCE < check_score_agreement(*pair(tmp_path, bias), clouds(), "mine.onnx").difference < TOLERANCE
 
 

@@ -1,4 +1,4 @@
-"""An ONNX file as a detector: what it answers, and what is none and refused in one line."""
+"""An ONNX file as a detector: its answers, and one-line refusals of unusable files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_saturated_scores_have_finite_logits(tmp_path: Path) -> None:
 
 
 def test_after_suppression_there_may_be_no_box(tmp_path: Path) -> None:
-    """Boxes of scores above one half alone: their number hangs on the points."""
+    """Only boxes of scores above one half remain: their number depends on the points."""
     nodes = [
         *(node for node in graph_nodes() if node.op_type not in ("Sigmoid", "Identity")),
         helper.make_node("Sigmoid", ["logits"], ["all"]),
@@ -131,7 +131,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
 def test_it_is_tried_once_a_machine_and_again_where_the_note_is_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A note stands for its content, wherever the file lies; what was refused leaves none."""
+    """A note belongs to the file's content, wherever the file is; a refused file leaves none."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     run, passes = onnxruntime.InferenceSession.run, []
     monkeypatch.setattr(onnxruntime.InferenceSession, "run", lambda *given: (passes.append(1), run(*given))[1])
@@ -166,7 +166,7 @@ def test_no_file(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_named_with_its_extra(tmp_path: Path) -> None:
-    """In a process whose import of onnxruntime fails as where it is not installed."""
+    """The test runs a process whose import of onnxruntime fails as if it were not installed."""
     code = (
         "import sys, pathlib, importlib.abc\n"
         "class Gone(importlib.abc.MetaPathFinder):\n"

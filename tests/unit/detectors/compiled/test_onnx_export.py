@@ -26,7 +26,7 @@ def both(request: pytest.FixtureRequest) -> tuple[TrainedDetector, OnnxDetector,
 
 
 def odd_scene() -> torch.Tensor:
-    """Many points in one cell, points twice, on edges of cells, out of reach in every direction, and not finite."""
+    """Return many points in one cell, duplicates, points on cell edges, out of range on all sides, and not finite."""
     heap = random_scene(3000)
     heap[:1000, :2] = torch.tensor([10.1, -4.2]) + 0.2 * torch.rand(1000, 2, generator=torch.Generator().manual_seed(1))
     heap[1000:1100, 0] = -74.88 + 0.32 * torch.arange(100)
@@ -41,10 +41,10 @@ def test_scores_and_boxes_are_those_of_torch(
     original, compiled, _ = both
     one, two = original.proposals(points), compiled.proposals(points)
     scores, kept = torch.sigmoid(one.logits.double()), one.reported
-    scores = scores if kept is None else torch.where(kept, scores, 0.0)  # what suppression is not given
+    scores = scores if kept is None else torch.where(kept, scores, 0.0)  # entries that suppression does not receive
     torch.testing.assert_close(scores, torch.sigmoid(two.logits), atol=1e-4, rtol=0)
     torch.testing.assert_close(one.boxes[:, :6], two.boxes[:, :6], atol=1e-2, rtol=1e-3)
-    # Where the two directions of a box score alike, rounding decides.
+    # If the two directions of a box score alike, rounding decides.
     assert float((one.boxes[:, 6] - two.boxes[:, 6]).cos().sub(1).abs().gt(1e-3).float().mean()) < 1e-3
 
 
@@ -61,5 +61,5 @@ def test_tokens_have_no_export() -> None:
 def test_weights_below_home_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "mine.safetensors").write_bytes((WEIGHTS_FOLDER / "sst_small.safetensors").read_bytes())
-    with pytest.raises(InputError, match="no ONNX export"):  # all that there is against them
+    with pytest.raises(InputError, match="no ONNX export"):  # there is no other obstacle
         export_onnx_detector("sst_small", "~/mine.safetensors")

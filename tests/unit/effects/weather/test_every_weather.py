@@ -1,4 +1,4 @@
-"""What fog, rain and snow have in common: what they leave alone, and where gradients pass."""
+"""Common properties of fog, rain and snow: quantities that they leave alone, and the path of gradients."""
 
 import dataclasses
 from typing import Any
@@ -17,7 +17,7 @@ STRENGTH: dict[str, tuple[str, float, float]] = {
     "rain": ("rain_mm_h", 20.0, 0.0),
     "snow": ("snow_mm_h", 2.0, 0.0),
 }
-"""Of each weather the condition that says how strong it is, a strength, and none of it."""
+"""The condition of each weather's strength, a strength, and its absence."""
 weathers = pytest.mark.parametrize("name", STRENGTH)
 
 

@@ -22,7 +22,7 @@ def foggy(visibility_m: float, sensor: SensorModel | None = None) -> EffectConte
 
 
 def echo_by_integration(visibility_m: float, range_m: float) -> tuple[float, float]:
-    """Echo of the fog over that of the surface in clear air, and R of its maximum: the equation, term by term."""
+    """Return the fog's echo over the surface's in clear air, and R of its maximum: the equation, term by term."""
     alpha, beta = math.log(20.0) / visibility_m, 0.046 / visibility_m
     t = np.linspace(0.0, 2.0 * PULSE_S, 8001)
     best, best_at = 0.0, 0.0
@@ -49,7 +49,7 @@ def test_echo_of_fog_is_the_integral(visibility_m, range_m):
         np.array([range_m])
     )
     assert math.exp(log_ratio[0]) == pytest.approx(ratio, rel=2e-3)
-    # A surface's maximum is received half a pulse behind it, too.
+    # A surface's maximum, too, is received half a pulse behind the surface.
     assert reported[0] == pytest.approx(received - 299_792_458.0 * PULSE_S / 2.0, abs=0.015)
 
 
@@ -101,7 +101,7 @@ def test_beer_and_lambert_in_what_surfaces_report():
 
 @pytest.mark.parametrize("range_m", [10.0, 20.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
-    """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
+    """Albedos are uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
     context = foggy(100.0, SensorModel(limit_range_m=100.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
@@ -135,7 +135,7 @@ def test_does_not_apply_where_it_cannot_matter():
     # 2 * 50 ln 20 / MOR = 1 % at 30 km.
     assert EFFECT.applicability(facts_of(31_000.0, sensor=limited), BLIND) is None
     assert EFFECT.applicability(facts_of(29_000.0, sensor=limited), BLIND) is not None
-    # At 500 m no surface within 50 m is outshone: only what reads reflectance, or knows a limit, would notice.
+    # At 500 m fog outshines no surface within 50 m: only a reader of reflectance, or a known limit, would notice.
     assert EFFECT.applicability(facts_of(500.0), BLIND) is None
     reader = DetectorFacts("xyzi", reads_reflectance=True)
     assert EFFECT.applicability(facts_of(500.0, has_reflectance=True), reader) is not None

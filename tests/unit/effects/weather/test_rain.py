@@ -24,7 +24,7 @@ def raining(rain_mm_h: float, sensor: SensorModel | None = None) -> EffectContex
 
 
 def expected_drops(rain_mm_h: float, power: float, range_m: float, divergence_rad: float = DIVERGENCE_RAD) -> float:
-    """Drops that send back more than a power, nearer than a range: sizes and cone by hand, integrated by QUADPACK."""
+    """Count drops with echoes above a power, nearer than a range: sizes and cone by hand, integrated by QUADPACK."""
     slope = 4.1 * rain_mm_h**-0.21
     alpha = math.pi * 8000.0 / slope**3 * 1e-6
 
@@ -48,13 +48,13 @@ def test_extinction_is_its_closed_form(rain_mm_h):
 
 @pytest.mark.parametrize("rain_mm_h", [2.0, 10.0, 50.0])
 def test_extinction_has_the_size_of_measured_ones(rain_mm_h):
-    """Optical links measure 1.076 Rr^0.67 dB/km (Carbonneau and Wisely 1998): no factor of a thousand is astray."""
+    """Optical links measure 1.076 Rr^0.67 dB/km (Carbonneau and Wisely 1998): no factor of a thousand is missing."""
     measured_per_m = 1.076 * rain_mm_h**0.67 / 1000.0 / (10.0 / math.log(10.0))
     assert 0.5 < drops(rain_mm_h).extinction_per_m / measured_per_m < 2.0
 
 
 def test_drops_are_large_against_the_wavelength():
-    """With size parameter pi D / wavelength in van de Hulst's efficiency, extinction stays within 1 % of Q = 2."""
+    """Van de Hulst's efficiency with size parameter pi D / wavelength keeps extinction within 1 % of Q = 2."""
     slope = 4.1 * 10.0**-0.21
 
     def weakened(diameter_mm: float) -> float:
@@ -75,7 +75,7 @@ def test_the_beam_widens_by_its_angle_in_radians():
 
 @pytest.mark.parametrize("range_m", [1.5, 2.5, 4.0])
 def test_in_front_of_nothing_every_drop_counts(range_m):
-    """Met with 1 - exp(-n V), V the beam's volume from 0.9 m on, n = N0 / slope."""
+    """A drop is met with 1 - exp(-n V), V the beam's volume from 0.9 m on, n = N0 / slope."""
     context = raining(10.0)
     after = EFFECT.bind(context)(returns_of(context, range_m, cosine=0.0))
     width = [EXIT_M + DIVERGENCE_RAD * r for r in (0.9, range_m)]
@@ -94,7 +94,7 @@ def test_drops_that_outdo_the_surface(rain_mm_h, range_m, albedo, divergence_rad
     expected = -math.expm1(-expected_drops(rain_mm_h, power, range_m, divergence_rad))
     drop = ~after.on_object
     assert abs(float(drop.double().mean()) - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
-    # Half of them lie nearer than where half of that probability is reached.
+    # Half of the drops are nearer than the range at which half of that probability is reached.
     near = float(after.range_m[drop].median())
     share = -math.expm1(-expected_drops(rain_mm_h, power, near, divergence_rad)) / expected
     assert abs(share - 0.5) < 3.0 * 0.5 / math.sqrt(int(drop.sum()))
@@ -104,7 +104,7 @@ def test_drops_that_outdo_the_surface(rain_mm_h, range_m, albedo, divergence_rad
 
 
 def test_a_drop_below_the_least_power_is_not_noticed():
-    """Behind lies nothing that is noticed; the limit alone says which drops are."""
+    """Nothing detectable is behind the drops; the limit alone decides which drops are detected."""
     sensor = SensorModel(limit_range_m=300.0)
     context = raining(10.0, sensor)
     after = EFFECT.bind(context)(returns_of(context, 60.0, cosine=0.0))
@@ -129,7 +129,7 @@ def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
 
 
 def test_weaker_echoes_scatter_more_along_the_beam_alone():
-    """Albedo 0.9 at half of the limit range: four times the least power, before the rain."""
+    """Albedo 0.9 at half of the limit range has four times the least power, before the rain."""
     sensor = SensorModel(limit_range_m=100.0)
     context = raining(50.0, sensor)
     before = returns_of(context, 50.0, 0.9)
@@ -156,7 +156,7 @@ def test_noise_that_is_added_is_bounded_and_none_where_nothing_is_lost():
 
 @pytest.mark.parametrize("range_m", [15.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
-    """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
+    """Albedos are uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
     context = raining(30.0, SensorModel(limit_range_m=40.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
@@ -176,7 +176,7 @@ def test_less_and_less_rain_comes_to_the_identity():
 
 
 def test_degenerate_rows_bring_no_nan():
-    """No albedo, no range, a beam without a direction, a surface along the beam."""
+    """Rows have no albedo, no range, a beam without a direction, or a surface along the beam."""
     context = raining(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
     for known in (context, raining(20.0)):
         rows = rows_of(returns_of(known, 50.0), torch.arange(4))
@@ -195,7 +195,7 @@ def test_degenerate_rows_bring_no_nan():
 
 
 def test_gradients_of_surfaces_and_drops():
-    """A pose that moves points along their beams: the gradient is that of finite differences while nothing flips."""
+    """A pose moves points along their beams: its gradient equals finite differences while no return flips."""
     context = raining(20.0)
     step, before = EFFECT.bind(context), rows_of(returns_of(context, 50.0, 0.2), torch.arange(0, COUNT, 80))
     weight = torch.rand(before.points.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2))

@@ -25,7 +25,7 @@ def snowing(snow_mm_h: float, sensor: SensorModel | None = None) -> EffectContex
 
 
 def extinction(snow_mm_h: float) -> float:
-    """1e-6 (pi / 4) 2 N0 integral of (w D)^2 exp(-lambda D), D of the melted drop, w the flake's width over it."""
+    """Return 1e-6 (pi / 4) 2 N0 integral of (w D)^2 exp(-lambda D), D of the melted drop, w flake width over D."""
     return 1e-6 * math.pi * 3800.0 * snow_mm_h**-0.87 * FLAKE_WIDTH**2 / (2.55 * snow_mm_h**-0.48) ** 3
 
 
@@ -35,13 +35,13 @@ def test_extinction_is_its_closed_form(snow_mm_h):
 
 
 def test_visibility_in_moderate_snow():
-    """Weather services call it moderate between visibilities of 1 km and 0.5 km, and melted rates of 1 to 2.5 mm/h."""
+    """Weather services define moderate snow by visibilities of 1 km to 0.5 km, and melted rates of 1 to 2.5 mm/h."""
     for rate, visibility_m in ((1.0, 1000.0), (2.5, 500.0)):
         assert math.log(20.0) / flakes(rate).extinction_per_m == pytest.approx(visibility_m, rel=0.25)
 
 
 def test_as_many_flakes_as_gunn_and_marshall_counted():
-    """Gunn and Marshall 1958: 3.8e3 R^-0.87 a m^3 and mm of melted diameter, slope 25.5 R^-0.48 a cm."""
+    """Gunn and Marshall (1958) counted 3.8e3 R^-0.87 per m^3 and mm of melted diameter, slope 25.5 R^-0.48 per cm."""
     for rate, density, slope in ((1.0, 3800.0, 2.55), (2.0, 2079.2, 1.8283), (0.5, 6945.1, 3.5566)):
         found = flakes(rate)
         assert found.density * FLAKE_WIDTH == pytest.approx(density, rel=1e-4)
@@ -50,7 +50,7 @@ def test_as_many_flakes_as_gunn_and_marshall_counted():
 
 @pytest.mark.parametrize("snow_mm_h", [0.5, 1.0, 2.5])
 def test_what_falls_is_the_rate(snow_mm_h):
-    """Water of all flakes, pi density / slope^4 in mm^3 a m^3 of melted diameters, falling at a metre a second."""
+    """All flakes, falling at 1 m/s, carry this rate: pi density / slope^4 in mm^3 per m^3 of melted diameters."""
     found = flakes(snow_mm_h)
     density, slope = found.density * FLAKE_WIDTH, found.slope * FLAKE_WIDTH
     falls_mm_h = math.pi * density / slope**4 * 1.0 * 3600.0 / 1e6
@@ -99,11 +99,11 @@ def test_flakes_that_cover_enough_of_the_beam(snow_mm_h, range_m, albedo):
 
 @pytest.mark.parametrize("range_m", [10.0, 20.0])
 def test_beer_and_lambert_in_what_survives(range_m):
-    """Albedo uniform in [0, 1]; a narrow beam and a poor sensor, so that flakes cannot come in between."""
+    """Albedos are uniform in [0, 1]; the beam is narrow and the sensor poor, so that no flake intervenes."""
     context = snowing(2.0, SensorModel(limit_range_m=25.0, divergence_rad=1e-5))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
-    alone = after.on_object  # neither it nor a flake's draw depends on the albedo of what is lost
+    alone = after.on_object  # neither it nor a flake's draw depends on the albedo of lost returns
     noticed = albedo >= 0.9 / 25.0**2 * range_m**2 * math.exp(2.0 * extinction(2.0) * range_m)
     assert torch.equal(after.returned[alone], noticed[alone])
     expected = 1.0 - 0.9 / 25.0**2 * range_m**2 * math.exp(2.0 * extinction(2.0) * range_m)
@@ -111,7 +111,7 @@ def test_beer_and_lambert_in_what_survives(range_m):
 
 
 def test_extinctions_of_all_weather_add_up():
-    """Fog, rain and snow in turn: what is left of a surface's echo is exp(-2 (sum of alphas) R)."""
+    """Fog, rain and snow in turn leave exp(-2 (sum of alphas) R) of a surface's echo."""
     conditions = Conditions("fog", rain_mm_h=5.0, snow_mm_h=0.3, visibility_m=300.0, weather_in_points=False)
     context = context_of(conditions)
     before = returns_of(context, 15.0, 0.9)
@@ -129,7 +129,7 @@ def test_extinctions_of_all_weather_add_up():
 
 
 def test_all_weather_loses_by_the_sum_of_extinctions():
-    """A sharp limit, met by each in turn, loses on the object what the whole extinction loses at once."""
+    """A sharp limit, applied by each in turn, loses on the object the same echoes as the whole extinction at once."""
     conditions = Conditions("fog", snow_mm_h=0.5, visibility_m=200.0, weather_in_points=False)
     context = context_of(conditions, SensorModel(limit_range_m=40.0, divergence_rad=1e-5))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))

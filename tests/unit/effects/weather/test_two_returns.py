@@ -1,4 +1,4 @@
-"""Weather on beams with two returns: a beam meets one particle, and shows it once."""
+"""Weather on beams with two returns: a beam meets one particle, and reports it once."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Wet ground: Fresnel's equations, conservation of energy, and which echoes are lost."""
+"""Wet ground: Fresnel's equations, conservation of energy, and the echoes that are lost."""
 
 import dataclasses
 import math
@@ -37,7 +37,7 @@ def values(*numbers: float) -> torch.Tensor:
 def context_of(
     rain_mm_h: float = 5.0, sensor: SensorModel | None = LIMIT, in_points: bool = False, range_m: float = 20.0
 ) -> EffectContext:
-    """A ring of ground, walls behind it, points overhead: a third each."""
+    """Return a ring of ground, walls behind it, points overhead: a third each."""
     angle = np.linspace(0.0, 2.0 * math.pi, COUNT, endpoint=False)
     z = np.choose(np.arange(COUNT) % 3, [np.full(COUNT, GROUND_Z_M), np.full(COUNT, 0.5), np.full(COUNT, 4.0)])
     points = np.stack([range_m * np.cos(angle), range_m * np.sin(angle), z], axis=1).astype(np.float32)
@@ -77,7 +77,7 @@ def test_beyond_the_critical_angle_everything_is_reflected():
 
 
 def mean_reflected(index: float, kink: float) -> float:
-    """Of diffuse light, by QUADPACK."""
+    """Compute the mean reflectance of diffuse light by QUADPACK."""
     return quad(lambda c: float(fresnel_reflectance(values(c), index)) * 2.0 * c, 0.0, 1.0, points=[kink], limit=200)[0]
 
 
@@ -85,7 +85,7 @@ def test_diffuse_light_that_stays_below():
     assert internal_reflectance() == pytest.approx(
         mean_reflected(1.0 / WATER_INDEX, math.sqrt(1.0 - WATER_INDEX**-2)), abs=1e-5
     )
-    # What leaves per solid angle is what enters, over n^2.
+    # The light that leaves per solid angle is the light that enters, over n^2.
     assert 1.0 - internal_reflectance() == pytest.approx(
         (1.0 - mean_reflected(WATER_INDEX, 0.1)) / WATER_INDEX**2, abs=1e-5
     )
@@ -93,7 +93,7 @@ def test_diffuse_light_that_stays_below():
 
 @pytest.mark.parametrize("cosine", [0.05, 0.4, 1.0])
 def test_a_white_ground_loses_nothing_but_what_the_water_mirrors(cosine):
-    """Everything that enters leaves again: over all directions, T_aw of the incident light."""
+    """All light that enters leaves again: over all directions, T_aw of the incident light."""
     entering = 1.0 - float(fresnel_reflectance(values(cosine)))
     towards_sensor = float(wet_albedo(values(1.0), values(cosine)))
     per_transmission = towards_sensor / entering
@@ -102,7 +102,7 @@ def test_a_white_ground_loses_nothing_but_what_the_water_mirrors(cosine):
 
 
 def test_wet_albedo_by_hand():
-    """Head on, 0.3: 0.98^2 * 0.3 / 1.33^2 / (1 - 0.3 R_wa), some 60 % of the dry one; along the ground nothing."""
+    """Albedo 0.3 head on: 0.98^2 * 0.3 / 1.33^2 / (1 - 0.3 R_wa), some 60 % of the dry value; along the ground 0."""
     through = 1.0 - (0.33 / 2.33) ** 2
     expected = through**2 * 0.3 / 1.33**2 / (1.0 - 0.3 * internal_reflectance())
     torch.testing.assert_close(wet_albedo(values(0.3, 0.3, 0.0), values(1.0, 0.0, 1.0)), values(expected, 0.0, 0.0))
@@ -110,7 +110,7 @@ def test_wet_albedo_by_hand():
 
 
 def test_water_darkens_all_but_the_whitest_ground():
-    """(What leaves is not spread evenly: straight up, above a white ground, it is 3 % more than from a dry one.)"""
+    """Light does not leave evenly: straight up, above a white ground, it exceeds a dry ground's by 3 %."""
     albedo, cosine = torch.meshgrid(
         torch.linspace(0.0, 0.95, 96, dtype=torch.float64),
         torch.linspace(0.0, 1.0, 101, dtype=torch.float64),

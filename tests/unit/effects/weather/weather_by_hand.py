@@ -1,4 +1,4 @@
-"""Beams in weather, and what they bring back before it."""
+"""Beams in weather, and their returns before the weather."""
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ COUNT = 40_000
 
 
 def context_of(conditions: Conditions, sensor: SensorModel | None = None, seed: int = 4) -> EffectContext:
-    """Beams that end 1.5 to 100 m away, in all directions."""
+    """Return beams that end 1.5 to 100 m away, in all directions."""
     rng = np.random.default_rng(1)
     directions = rng.standard_normal((COUNT, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -25,7 +25,7 @@ def context_of(conditions: Conditions, sensor: SensorModel | None = None, seed: 
 def returns_of(
     context: EffectContext, range_m: float | None = None, albedo: float | torch.Tensor = 0.5, cosine: float = 1.0
 ) -> Returns:
-    """Every beam on the object, at one range or where the beams end."""
+    """Return every beam on the object, at one range or at the beams' ends."""
     beams, one = context.beams, torch.ones(COUNT, dtype=torch.float64)
     yes = torch.ones(COUNT, dtype=torch.bool)
     reach = beams.ranges_m if range_m is None else range_m * one
