@@ -82,10 +82,10 @@ def test_no_text_has_a_term_of_ours(terms: tuple[str, ...]) -> None:
 
 
 def test_a_docstring_names_its_subject() -> None:
-    """No docstring of the package begins with a clause ("What ...", "Where ...") in place of a noun or a verb."""
+    """No docstring begins with a clause ("What ...", "Where ...") in place of a noun or a verb."""
     clause = re.compile(r"(What|Whether|Where|How|Which|Those|That|When|As|Who|Why|If|Of|With|Without)\b")
     found = []
-    for path in tracked("shift3d/*.py"):
+    for path in tracked("shift3d/*.py", "tests/*.py", "docs/scripts/*.py"):
         tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
         texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Expr))
         found += [
