@@ -58,6 +58,18 @@ def test_vehicles_that_have_one_score_everywhere_have_an_interval() -> None:
     assert vehicle_mean_interval(rows({"a": ("suv",), "b": ("coupe",), "c": ("suv", "coupe")})) == Interval(0.5, 0, 1)
 
 
+@pytest.mark.parametrize("tenths", [(1, 7, 3), (3, 2, 1), (1, 2, 3, 4), (1, 6, 1, 1, 3)])
+def test_the_interval_of_few_scenes_does_not_depend_on_rounding(tenths: tuple[int, ...]) -> None:
+    """Sums of whole numbers are exact. Sums of tenths differ by rounding if the scenes are drawn in another order."""
+    places = [str(at) for at in range(len(tenths))]
+    exact, found = (mean_interval(np.divide(tenths, by), places) for by in (1, 10))
+    assert (found.low, found.high) == pytest.approx((exact.low / 10, exact.high / 10))
+    vehicles = ["suv"] * len(tenths) + ["coupe"] * len(tenths)
+    table = pd.DataFrame({"score": np.array(tenths + tenths[::-1]), "vehicle": vehicles, "place": places * 2})
+    exact, found = (vehicle_mean_interval(table.assign(score=table["score"] / by)) for by in (1, 10))
+    assert (found.low, found.high) == pytest.approx((exact.low / 10, exact.high / 10))
+
+
 def test_an_interval_over_thousands_of_scenes_takes_a_hundred_megabytes() -> None:
     scenes = 2_000
     score = np.random.default_rng(0).uniform(size=5 * scenes)
