@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROUNDED = 1e-12  # Smaller score differences are rounding: three replicates of 0.1 have a mean of 0.09999999999999999.
+DECIMALS = 12  # Decimals of score differences that are not rounding.
 
 
 def without_rounding(values: NDArray[np.float64], exact: float = 0.0) -> NDArray[np.float64]:

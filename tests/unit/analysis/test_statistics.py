@@ -11,7 +11,7 @@ from scipy.stats import bootstrap
 
 from shift3d.analysis.html.sections.curves import thresholds
 from shift3d.analysis.statistics.intervals import Interval, mean_interval, recall_band, vehicle_mean_interval
-from shift3d.analysis.statistics.paired import holm
+from shift3d.analysis.statistics.paired import holm, paired
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.seeding import generator
 
@@ -109,6 +109,23 @@ def test_a_band_covers_the_truth_about_as_often_as_it_says() -> None:
         assert low is not None and high is not None
         held += bool(low[0] <= 0.5 <= high[0])
     assert 0.88 <= held / 200 <= 0.99
+
+
+def test_differences_that_are_equal_but_for_rounding_tie_in_the_signed_rank_test() -> None:
+    """Differences of sixteenths are exact. Differences of tenths, such as 0.9 - 0.7 and 0.3 - 0.1, are not."""
+    ours, theirs = np.array([9, 3, 4, 1, 8, 2, 6, 7]), np.array([7, 1, 6, 4, 5, 3, 5, 4])
+    places = [str(at) for at in range(len(ours))]
+
+    def p_value(by: int) -> float | None:
+        parts = {"adversarial": ours / by, "random": theirs / by}
+        tables = [
+            pd.DataFrame({"task_id": places, "place": places, "method": name, "score": part})
+            for name, part in parts.items()
+        ]
+        found = paired(pd.concat(tables), "adversarial", "random")
+        return found.p_value if found else None
+
+    assert p_value(10) == p_value(16)
 
 
 def test_holm_steps_down() -> None:
