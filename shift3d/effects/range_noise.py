@@ -16,8 +16,9 @@ LEAST_NOISE_M = 2e-6
 class RangeNoise(Effect):
     """Noise of the range, sigma times a standard normal draw, along the beam only.
 
-    Changes the object's points that have a return. Their new ranges may lie in front of the surface or behind it.
-    Leaves unchanged: beam directions, the set of rows with a return, reflectance, and the scene's own noisy points.
+    Changes the object's points that have a return. Their new ranges may lie in front of the surface or behind it. A
+    point that the noise would move behind its sensor has no return: no sensor reports a negative range.
+    Leaves unchanged: beam directions, reflectance, and the scene's own noisy points.
 
     Differentiable: the noise is constant along the beam; a noisy point has the derivatives of the exact point.
 
@@ -45,10 +46,12 @@ class RangeNoise(Effect):
         noise_m = sigma_m * torch.from_numpy(drawn)
 
         def step(returns: Returns) -> Returns:
-            moved = returns.on_object & returns.returned
+            noise, moved = noise_m[returns.row], returns.on_object & returns.returned
+            behind = moved & (returns.range_m.detach() + noise <= 0.0)
             # Noise is added to the point, not to its range: the offset across the beam stays the same.
-            points = returns.points + noise_m[returns.row, None] * returns.directions
-            return replace(returns, points=torch.where(moved[:, None], points, returns.points))
+            points = returns.points + noise[:, None] * returns.directions
+            noisy = replace(returns, points=torch.where(moved[:, None], points, returns.points))
+            return noisy.without(behind) if bool(behind.any()) else noisy
 
         return step
 

@@ -51,10 +51,11 @@ class Pool:
 
         Source: our choice: the paper compares with the baseline alone, which no scene has shown.
         """
-        far = np.abs(np.log(self.range_m / self.range_m[index])) / np.log(RANGE_RATIO)
-        fewer = np.abs(np.log(self.points / self.points[index])) / np.log(POINTS_RATIO)
-        matched = np.flatnonzero((np.maximum(far, fewer) <= 1.0) & (np.arange(len(self.points)) != index))
-        order = np.argsort((far + fewer)[matched], kind="stable")
+        # Not by logarithms: rounding would admit 30 points beside 20, but not 20 beside 30.
+        far, more = (np.maximum(own / own[index], own[index] / own) for own in (self.range_m, self.points))
+        matched = np.flatnonzero((far <= RANGE_RATIO) & (more <= POINTS_RATIO) & (np.arange(len(far)) != index))
+        apart = np.log(far) / np.log(RANGE_RATIO) + np.log(more) / np.log(POINTS_RATIO)
+        order = np.argsort(apart[matched], kind="stable")
         return [int(found) for found in matched[order[:count]]]
 
 

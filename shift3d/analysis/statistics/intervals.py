@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from shift3d.analysis.statistics.rounding import without_rounding
 from shift3d.seeding import generator
 
 FloatArray = NDArray[np.float64]
 _CONFIDENCE = 0.95
 _ENDS = ((1.0 - _CONFIDENCE) / 2.0, (1.0 + _CONFIDENCE) / 2.0)
 _DRAWS, _BAND_DRAWS = 4000, 1000
-# Values that a BCa bootstrap holds at a time (32 MB); its jackknife alone takes groups x groups values.
-_HELD = 2**22
+_HELD = 2**22  # Values that a BCa bootstrap holds at a time (32 MB); its jackknife alone takes groups x groups values.
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,14 @@ def mean_interval(values: ArrayLike, groups: Sequence[object], others: Sequence[
 def _bca(parts: Sequence[FloatArray], statistic: Callable[..., FloatArray], mean: float, number: int) -> Interval:
     """Compute a statistic's BCa interval; it does not depend on the batch size, bit for bit.
 
-    parts: arrays (G,), one value per group. number: number of values, part of the random seed.
+    parts: arrays (G,), one value per group. number: number of values, part of the random seed. BCa counts the draws
+    below `mean`; a draw that differs from `mean` by rounding alone, such as each group once, counts as equal.
     """
     from scipy.stats import bootstrap
 
     found = bootstrap(
         tuple(parts),
-        statistic,
+        lambda *drawn, axis: without_rounding(statistic(*drawn, axis=axis), mean),
         paired=True,
         vectorized=True,
         n_resamples=_DRAWS,

@@ -1,4 +1,4 @@
-"""Removal of score differences that are only rounding."""
+"""Removal of differences that are only rounding."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROUNDED = 1e-12  # Smaller score differences are rounding: three replicates of 0.1 have a mean of 0.09999999999999999.
+DECIMALS = 12  # Decimals of score differences that are not rounding.
 
 
-def without_rounding(differences: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Set differences (...) at rounding level to 0, because a sign test would count them like any other difference."""
-    return np.where(np.abs(differences) < ROUNDED, 0.0, differences)
+def without_rounding(values: NDArray[np.float64], exact: float = 0.0) -> NDArray[np.float64]:
+    """Set values (...) that differ from `exact` at rounding level to `exact`.
+
+    A sign test would count such score differences like any other difference.
+    """
+    return np.where(np.abs(values - exact) < ROUNDED * max(1.0, abs(exact)), exact, values)

@@ -144,10 +144,11 @@ def _row(rows: Mapping[int, dict[str, Any]], number: int, component: Component, 
 
 def _image(row: Mapping[str, Any], name: str, channels: int, where: str) -> NDArray[np.float32]:
     """Reshape a flat list to (H, W, channels) float32."""
-    shape = [int(edge) for edge in numbers(row[f"{name}.shape"], 3, where)]
-    values = row[f"{name}.values"]
-    if shape[2] != channels or min(shape) < 1:
-        raise InputError(f"{name} has shape {shape}, not (H, W, {channels})", where, "Copy the component again")
+    edges, values = numbers(row[f"{name}.shape"], 3, where), row[f"{name}.values"]
+    if not (edges[2] == channels and 1.0 <= edges.min() <= edges.max() < np.inf):  # a gap in the list is NaN
+        found = ", ".join(f"{edge:g}" for edge in edges)
+        raise InputError(f"{name} has shape [{found}], not (H, W, {channels})", where, "Copy the component again")
+    shape = [int(edge) for edge in edges]
     flat = numbers(values, shape[0] * shape[1] * shape[2], f"{where}, {name}")
     return flat.astype(np.float32).reshape(shape)
 

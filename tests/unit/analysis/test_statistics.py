@@ -11,7 +11,7 @@ from scipy.stats import bootstrap
 
 from shift3d.analysis.html.sections.curves import thresholds
 from shift3d.analysis.statistics.intervals import Interval, mean_interval, recall_band, vehicle_mean_interval
-from shift3d.analysis.statistics.paired import holm
+from shift3d.analysis.statistics.paired import holm, paired
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.seeding import generator
 
@@ -58,6 +58,18 @@ def test_vehicles_that_have_one_score_everywhere_have_an_interval() -> None:
     assert vehicle_mean_interval(rows({"a": ("suv",), "b": ("coupe",), "c": ("suv", "coupe")})) == Interval(0.5, 0, 1)
 
 
+@pytest.mark.parametrize("tenths", [(1, 7, 3), (3, 2, 1), (1, 2, 3, 4), (1, 6, 1, 1, 3)])
+def test_the_interval_of_few_scenes_does_not_depend_on_rounding(tenths: tuple[int, ...]) -> None:
+    """Sums of whole numbers are exact. Sums of tenths differ by rounding if the scenes are drawn in another order."""
+    places = [str(at) for at in range(len(tenths))]
+    exact, found = (mean_interval(np.divide(tenths, by), places) for by in (1, 10))
+    assert (found.low, found.high) == pytest.approx((exact.low / 10, exact.high / 10))
+    vehicles = ["suv"] * len(tenths) + ["coupe"] * len(tenths)
+    table = pd.DataFrame({"score": np.array(tenths + tenths[::-1]), "vehicle": vehicles, "place": places * 2})
+    exact, found = (vehicle_mean_interval(table.assign(score=table["score"] / by)) for by in (1, 10))
+    assert (found.low, found.high) == pytest.approx((exact.low / 10, exact.high / 10))
+
+
 def test_an_interval_over_thousands_of_scenes_takes_a_hundred_megabytes() -> None:
     scenes = 2_000
     score = np.random.default_rng(0).uniform(size=5 * scenes)
@@ -97,6 +109,23 @@ def test_a_band_covers_the_truth_about_as_often_as_it_says() -> None:
         assert low is not None and high is not None
         held += bool(low[0] <= 0.5 <= high[0])
     assert 0.88 <= held / 200 <= 0.99
+
+
+def test_differences_that_are_equal_but_for_rounding_tie_in_the_signed_rank_test() -> None:
+    """Differences of sixteenths are exact. Differences of tenths, such as 0.9 - 0.7 and 0.3 - 0.1, are not."""
+    ours, theirs = np.array([9, 3, 4, 1, 8, 2, 6, 7]), np.array([7, 1, 6, 4, 5, 3, 5, 4])
+    places = [str(at) for at in range(len(ours))]
+
+    def p_value(by: int) -> float | None:
+        parts = {"adversarial": ours / by, "random": theirs / by}
+        tables = [
+            pd.DataFrame({"task_id": places, "place": places, "method": name, "score": part})
+            for name, part in parts.items()
+        ]
+        found = paired(pd.concat(tables), "adversarial", "random")
+        return found.p_value if found else None
+
+    assert p_value(10) == p_value(16)
 
 
 def test_holm_steps_down() -> None:

@@ -60,6 +60,17 @@ def test_the_spread_is_that_of_each_range_near_and_far():
         assert abs(float(part.std()) / SIGMA_M - 1.0) < 3.0 / math.sqrt(2.0 * len(part))
 
 
+def test_no_return_lies_behind_its_sensor():
+    """The largest noise that a sensor may state exceeds some of the ranges."""
+    context = context_of(10.0, 2_000)
+    before = returns_of(context)
+    after = EFFECT.bind(context)(before)
+    noise_m = 10.0 * torch.from_numpy(context.draws("range_noise").standard_normal(2_000))
+    ahead = before.range_m + noise_m > 0.0
+    assert int((~ahead).sum()) > 0 and torch.equal(after.returned, ahead)
+    assert bool((after.range_m[after.returned] > 0.0).all())
+
+
 @pytest.mark.parametrize("sigma_m", [0.0, None])
 def test_no_noise_is_the_identity_bit_for_bit(sigma_m):
     context = context_of(sigma_m, 50)

@@ -55,3 +55,9 @@ def test_controls_were_seen_from_as_far_and_by_as_many_points() -> None:
         assert 1 / RANGE_RATIO <= ratio[0] <= RANGE_RATIO and 1 / POINTS_RATIO <= ratio[1] <= POINTS_RATIO
     lonely = Pool.of(table([{"range_m": 5.0}, {"range_m": 50.0}, {"points": 10}]), "pool")
     assert lonely.controls(0, 3) == []
+
+
+def test_a_control_may_have_half_as_many_points_again_or_be_what_has() -> None:
+    pool = Pool.of(table([{"points": 30}, {"points": 45}, {"points": 20}, {"points": 46}, {"points": 19}]), "pool")
+    assert sorted(pool.controls(0, 5)) == [1, 2]
+    assert 0 in pool.controls(1, 5) and 0 in pool.controls(2, 5)

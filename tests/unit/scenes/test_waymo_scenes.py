@@ -234,6 +234,7 @@ INCLINATION = "[LiDARCalibrationComponent].beam_inclination"
         (rewrite("lidar_calibration", without_laser(4)), r"lidar_calibration.*no row of laser 4"),
         (rewrite("lidar_calibration", without_laser(1)), r"lidar_calibration.*no row of laser 1"),
         (rewrite("lidar_pose", with_column(f"{POSE}.shape", lambda s: [s[1], s[0], s[2]])), r"poses of .180, 16."),
+        (rewrite("lidar", with_column(f"{FIRST}.shape", lambda s: [None, *s[1:]])), r"shape \[nan, "),
         (rewrite("lidar_pose", with_column(f"{POSE}.values", lambda v: v[:-6])), r"lidar_pose.*numbers, .* expected"),
         (rewrite("lidar_pose", with_column(f"{POSE}.values", lambda v: [0.0] * len(v))), r"every pixel's pose is zero"),
         (rewrite("lidar", with_column(f"{FIRST}.values", millimetres)), r"range of .* m.*metres"),
