@@ -6,7 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +22,8 @@ from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.suite.frozen import BOX, FrozenSuite, background_file, blake2b, manifest_bytes, read_manifest, read_suite
 from shift3d.suite.selection import Selection, SelectionRule, select_solutions
-from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
+from shift3d.suite.tables import SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
+from shift3d.suite.writer import SCENE_PREFIX, Frames, SuiteWriter
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.task.assets import Assets, load_assets, score_precision
 from shift3d.task.follow_ups.rendered import render_solution
@@ -37,8 +38,6 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.tasks import PlannedTask
     from shift3d.task.spec import TaskSpec
 
-Frames = Literal["copied", "referenced"]
-_SCENE = "unfinished-"  # name prefix of temporary files, each with the objects of one scene
 _UNFINISHED = {"objects.parquet", "scores.parquet", "backgrounds"}  # other files that a killed freezing leaves
 _LEFT_OUT = "left_out"  # role in temporary files of an object whose score differs from the sweep's
 
@@ -52,42 +51,6 @@ class FreezeResult:
     left_out: Mapping[str, int]
     unverified: int
     largest_difference: float | None
-
-
-@dataclass
-class _SuiteWriter:
-    """Suite being written. key: digest of sweep, choice and frames. digests: of its files. sets: scene sets in use."""
-
-    to: Location
-    frames: Frames
-    key: str
-    digests: dict[str, str] = field(default_factory=dict)
-    sets: list[dict[str, Any]] = field(default_factory=list)
-
-    def write(self, name: str, content: bytes) -> None:
-        (self.to / name).write_atomic(content)
-        self.digests[name] = blake2b(content)
-
-    def scene_file(self, name: str) -> Location:
-        """Return the temporary file for the objects of one scene; it is deleted when the suite is complete."""
-        return self.to / f"{_SCENE}{blake2b(f'{self.key} {name}'.encode())}.parquet"
-
-    def background(self, points: NDArray[np.float32]) -> str:
-        """Write a scene's points unless the suite has them. Returns their digest."""
-        name = blake2b(np.ascontiguousarray(points, dtype="<f4").tobytes())
-        if self.frames == "copied" and background_file(name) not in self.digests:
-            columns = [points[:, axis] for axis in range(3)]
-            table = pa.Table.from_arrays([pa.array(c) for c in columns], schema=SUITE_SCHEMAS["background"])
-            self.write(background_file(name), suite_table_bytes(table))
-        return name
-
-    def scene_set(self, settings: Mapping[str, Any]) -> int:
-        """Return the index of a scene set's settings; 0 with copied frames, which need no location of a data set."""
-        if self.frames == "copied":
-            return 0
-        if dict(settings) not in self.sets:
-            self.sets.append(dict(settings))
-        return self.sets.index(dict(settings))
 
 
 def freeze_suite(
@@ -113,10 +76,10 @@ def freeze_suite(
             raise InputError("holds another suite", str(to), "Give another to=DIR")
         _forget_scenes(to)
         return FreezeResult(read_suite(to), chosen.left_out, chosen.unverified, None)
-    if any(name not in _UNFINISHED and not name.startswith(_SCENE) for name in to.names()):
+    if any(name not in _UNFINISHED and not name.startswith(SCENE_PREFIX) for name in to.names()):
         raise InputError("is not a suite, and is not empty", str(to), "Give another to=DIR")
     to.check_writable("to=DIR")
-    writing = _SuiteWriter(to, frames, blake2b(json.dumps([made, frames], sort_keys=True).encode()))
+    writing = SuiteWriter(to, frames, blake2b(json.dumps([made, frames], sort_keys=True).encode()))
     objects, left_out, largest = _objects(plan, chosen, writing)
     if all(row["role"] == "control" for row in objects):
         raise InputError("no object has the score that the sweep reports", str(sweep), "Run the sweep again")
@@ -130,7 +93,7 @@ def freeze_suite(
 
 def _forget_scenes(to: Location) -> None:
     for name in to.names():
-        if name.startswith(_SCENE):
+        if name.startswith(SCENE_PREFIX):
             (to / name).delete()
 
 
@@ -140,7 +103,7 @@ def number_of_scenes(objects: Iterable[Mapping[str, Any]]) -> int:
 
 
 def _manifest(
-    plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]], writing: _SuiteWriter
+    plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]], writing: SuiteWriter
 ) -> dict[str, Any]:
     return {
         "version": SUITE_VERSION,
@@ -158,7 +121,7 @@ def _manifest(
 
 
 def _objects(
-    plan: Plan, chosen: Selection, writing: _SuiteWriter
+    plan: Plan, chosen: Selection, writing: SuiteWriter
 ) -> tuple[list[dict[str, Any]], dict[str, int], float | None]:
     """Return rows of ``objects.parquet``, scene by scene, a control before its hard objects; the number left out by
     reason; the largest difference of scores, None if every scene was read from its temporary file."""
@@ -185,7 +148,7 @@ class _SceneFreezer:
     assets by index in the plan. seen: rows and scores of controls, which several tasks of a scene share."""
 
     plan: Plan
-    writing: _SuiteWriter
+    writing: SuiteWriter
     reported: Mapping[tuple[str, str, int], float]
     controls: pd.DataFrame
     largest: float | None = None
@@ -243,7 +206,7 @@ class _SceneFreezer:
 
 
 def _object(
-    spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, writing: _SuiteWriter
+    spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, writing: SuiteWriter
 ) -> tuple[dict[str, Any], float]:
     """Return a solution's row without its role, and the attacked detector's score."""
     found = render_solution(spec, solution, assets)

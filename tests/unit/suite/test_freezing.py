@@ -20,6 +20,7 @@ from shift3d.suite.freezing import FreezeResult, freeze_suite
 from shift3d.suite.frozen import manifest_bytes, read_suite
 from shift3d.suite.scoring import Scorer, score_suite
 from shift3d.suite.selection import SelectionRule, select_solutions
+from shift3d.suite.writer import SuiteWriter
 from shift3d.sweep.execution.worker import completed_rows
 from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import make_plan
@@ -144,7 +145,7 @@ def test_a_vehicle_of_another_kind_has_that_kinds_name_and_size(sweep: Path, tmp
     coupe = assets.vehicles.vehicle("coupe")
     own = read_table(sweep / "final" / "solutions.parquet", "solutions").to_pylist()[0]
     turned = own | {"drawn_as": "coupe", "latent_code": coupe.latent_code.tolist()}
-    writing = freezing._SuiteWriter(as_location(tmp_path), "referenced", "")
+    writing = SuiteWriter(as_location(tmp_path), "referenced", "")
     rows = [freezing._object(plan.tasks[0].spec, row, assets, writing)[0] for row in (own, turned)]
     assert [row["vehicle"] for row in rows] == ["suv", "coupe"]
     assert rows[1]["dx_m"] == coupe.size_m[0] != rows[0]["dx_m"]
