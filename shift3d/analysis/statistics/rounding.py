@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDED = 1e-12  # Smaller score differences are rounding: three replicates of 0.1 have a mean of 0.09999999999999999.
-DECIMALS = 12  # Decimals of score differences that are not rounding.
+DECIMALS = 12  # Later decimals of scores are rounding: three replicates of 0.1 have a mean of 0.09999999999999999.
+ROUNDED = 10.0**-DECIMALS
 
 
 def without_rounding(values: NDArray[np.float64], exact: float = 0.0) -> NDArray[np.float64]:
