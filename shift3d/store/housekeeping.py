@@ -40,9 +40,9 @@ class Garbage:
 def find_garbage(folder: LocationLike) -> Garbage:
     """Return the files that `collect` removes.
 
-    The function lists data/ before it reads the log. A segment that the log does not name then belongs to the driver of
-    the last session, which may be about to commit it and keeps it, or to an earlier driver, which can never commit it.
-    No clock is needed.
+    The function lists data/ before it reads the log. A listed segment that the log does not name then has one of two
+    owners. The driver of the newest entry may still commit its segments, so they stay. Any other driver of the log can
+    never commit its segments, so they are garbage. No clock is needed.
 
     Raises: InputError: the log is damaged; nothing is garbage then.
     """
