@@ -95,12 +95,6 @@ class FirstHits:
     residual_m: Tensor
     unresolved: Tensor
 
-    @staticmethod
-    def none() -> FirstHits:
-        """Return a result without hits and without unresolved beams."""
-        index, value = torch.empty(0, dtype=torch.long), torch.empty(0, dtype=torch.float64)
-        return FirstHits(index, value, value, index)
-
 
 def _origins(origins: np.ndarray | Tensor, points: Tensor) -> Tensor:
     if isinstance(origins, np.ndarray):

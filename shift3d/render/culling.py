@@ -81,15 +81,12 @@ def beams_near(beams: Beams, centre: Tensor, radius_m: float) -> Tensor:
 
     Source: SHIFT3D, Setup: a beam that lies completely outside the sphere is ignored.
     """
-    to_centre = centre.double() - (beams.origins[0] if _one_origin(beams) else beams.origins)
+    one_origin = len(beams) > 0 and beams.origins.stride(0) == 0
+    to_centre = centre.double() - (beams.origins[0] if one_origin else beams.origins)
     along = (beams.directions * to_centre).sum(-1) if to_centre.ndim == 2 else beams.directions @ to_centre
     closest = torch.minimum(along.clamp_min(0.0), beams.ranges_m)
     square = to_centre.square().sum(-1) + closest * (closest - 2.0 * along)
     return torch.nonzero((square <= radius_m**2) & beams.carries).squeeze(1)
-
-
-def _one_origin(beams: Beams) -> bool:
-    return len(beams) > 0 and beams.origins.stride(0) == 0
 
 
 def object_rays(beams: Beams, index: Tensor, theta: Tensor) -> Rays:
@@ -116,7 +113,7 @@ def clip_to_box(rays: Rays, lower: Tensor, upper: Tensor) -> Rays:
     leave = torch.where(parallel, everywhere, torch.maximum(first, second)).amin(-1)
     near, far = torch.maximum(rays.near_m, enter), torch.minimum(rays.far_m, leave)
     kept = near <= far
-    return Rays(rays.index[kept], rays.origins[kept], rays.directions[kept], near[kept], far[kept])
+    return Rays(rays.index, rays.origins, rays.directions, near, far).select(kept)
 
 
 def rays_in_box(beams: Beams, theta: Tensor, box: Box) -> Rays:

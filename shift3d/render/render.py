@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render.beams import Beams, FirstHits
+from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.field.sdf_grid import SdfGrid, vehicle_size
 from shift3d.render.implicit import surface_points, wants_gradient
@@ -62,39 +62,24 @@ def render(
         else:
             warm = warm if settings.warm_start else None
             hits, state = search.first_hits(beams, metric, theta, size, settings, warm, grid)
-    return assemble(beams, hits, metric, theta, settings, state)
-
-
-def assemble(
-    beams: Beams,
-    hits: FirstHits,
-    field: ObjectField,
-    theta: Tensor,
-    settings: RenderSettings,
-    warm: WarmStart | None = None,
-) -> Rendering:
-    """Put the hit points into the scene; differentiable if gradients are wanted."""
-    evaluations, coarse = field.count.evaluations, field.count.coarse
-    polish = settings.final_newton_m > 0
-    known = None if warm is None else warm.linearization
-    if warm is not None:
-        field = field.sliced(warm.live)
-    surface, hits, grazing, at_hits = surface_points(beams, hits, field, theta, settings.min_n_dot_d, polish, known)
-    if warm is not None:
-        warm = replace(warm, linearization=None if at_hits is None else at_hits.without_graph())
+    evaluations, coarse = metric.count.evaluations, metric.count.coarse
+    polish, known = settings.final_newton_m > 0, None
+    if state is not None:
+        metric, known = metric.sliced(state.live), state.linearization
+    surface, hits, grazing, at_hits = surface_points(beams, hits, metric, theta, settings.min_n_dot_d, polish, known)
+    if state is not None:
+        state = replace(state, linearization=None if at_hits is None else at_hits.without_graph())
     points = beams.points
     if len(hits.index):
         points = points.index_copy(0, hits.index, surface.to(points.dtype))
-    hit_mask = torch.zeros(len(beams), dtype=torch.bool)
-    hit_mask[hits.index] = True
     return Rendering(
         points,
-        hit_mask,
+        torch.zeros(len(beams), dtype=torch.bool).index_fill(0, hits.index, True),
         beams.ranges_m.index_copy(0, hits.index, hits.range_m),
         float(hits.residual_m.max()) if len(hits.index) else 0.0,
         len(hits.unresolved),
         evaluations,
         coarse,
         grazing,
-        warm,
+        state,
     )

@@ -55,9 +55,7 @@ class Architecture:
         """True if the sizes describe a network: integers, a skip between two layers, and enough width for the skip."""
         if any(type(size) is not int for size in vars(self).values()):
             return False
-        return (
-            self.code_length >= 1 and 1 <= self.skip_layer <= self.hidden_layers and self.width > self.code_length + 3
-        )
+        return self.code_length >= 1 and 1 <= self.skip_layer < self.hidden_layers and self.width > self.code_length + 3
 
 
 def parameters_of(layer: nn.Module) -> tuple[Tensor, Tensor]:

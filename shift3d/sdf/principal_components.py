@@ -34,6 +34,6 @@ def principal_components(codes: NDArray[np.float32], components: int, where: str
     mean = codes.astype(np.float64).mean(axis=0)
     _, spread, axes = np.linalg.svd(codes - mean, full_matrices=False)
     spread = spread[:components] / np.sqrt(len(codes) - 1)
-    if not spread[-1] > 1e-6 * spread[0]:
+    if len(spread) < components or not spread[-1] > 1e-6 * spread[0]:
         raise InputError(f"the codes do not spread along {components} directions", where, "Give fewer components")
     return mean, spread, axes[:components]

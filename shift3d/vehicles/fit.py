@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -96,12 +97,12 @@ def fit_meshes(
     def kept(file: MeshFile) -> Path:
         return folder / KEPT / digest_of(file, file.sha256(), *made_with)
 
-    as_json, fits = TypeAdapter(MeshFit), dict[MeshFile, tuple[MeshFit, bytes]]()
+    record, fits = TypeAdapter(MeshFit), dict[MeshFile, tuple[MeshFit, bytes]]()
     for file in files:
         with contextlib.suppress(InputError):  # the fit below reports the error
             if content := read_cached(kept(file)):
                 text, _, picture = content.partition(b"\n")
-                fits[file] = as_json.validate_json(text), picture
+                fits[file] = record.validate_python(json.loads(text)), picture
     refused: dict[str, str] = {}
     left = [file for file in files if file not in fits]
     shown = {"total": len(files), "initial": len(fits), "disable": len(files) == 1}
@@ -124,7 +125,8 @@ def fit_meshes(
             refused[str(file.path)] = str(error)
             bar.write(f"left out: {error}")
             continue
-        write_cached(place, as_json.dump_json(fit) + b"\n" + picture)
+        # Not the adapter's own JSON: it is UTF-8, which a file name need not be.
+        write_cached(place, json.dumps(asdict(fit)).encode() + b"\n" + picture)
     if not fits:
         first = next(iter(refused.values()))
         raise InputError(f"none of {len(files)} meshes can be used", str(path), f"Repair them, as the first: {first}")

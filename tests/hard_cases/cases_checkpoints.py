@@ -135,7 +135,8 @@ def a_decoder_that_claims_to_be_a_million_wide() -> None:
     guard="an architecture must be one of whole numbers with room for its skip",
 )
 def a_decoder_with_an_architecture_that_cannot_be() -> None:
-    for wrong in ({"skip_layer": 0}, {"skip_layer": 4}, {"width": 16.0}, {"code_length": True}, {"width": 6}):
+    skips = [{"skip_layer": layer} for layer in (0, 3, 4)]  # 3: the output layer
+    for wrong in (*skips, {"width": 16.0}, {"code_length": True}, {"width": 6}):
         refused(lambda wrong=wrong: decoder_after(lambda t: None, wrong), DECODER, "made like")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,6 +13,7 @@ from shift3d.geometry.se3 import scene_R_object
 from shift3d.render.culling import Box, Rays, rays_in_box
 from shift3d.render.field.bounding_box import verified_box
 from shift3d.render.field.object_field import ObjectField
+from shift3d.render.field.sdf_grid import vehicle_size
 
 _LEAST_STEP_M = 0.002
 _ON_FACE = 0.05
@@ -68,13 +68,10 @@ def silhouette_rows(insertion: Insertion, angle_rad: float) -> Tensor:
 
 def _box(insertion: Insertion, field: ObjectField) -> Box:
     """Return the verified bounding box of the object, from the SDF grid or the rendering if possible."""
-    warm, settings = insertion.rendering.warm, insertion.settings
+    settings, found = insertion.settings, insertion.rendering.box
     if insertion.space is not None and settings.sdf_grid:
         return insertion.space.box
-    if warm is not None and warm.box is not None:
-        return warm.box.box
-    size = torch.as_tensor(np.asarray(insertion.vehicle.size_m, dtype=np.float64))
-    return verified_box(field, size, settings.box_margin_m).box
+    return found or verified_box(field, vehicle_size(insertion.vehicle), settings.box_margin_m).box
 
 
 def _off_hit_face(row: Tensor, field: ObjectField, insertion: Insertion, angle_rad: float) -> tuple[Tensor, Tensor]:

@@ -50,10 +50,8 @@ def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Verifie
         if len(inside) == 0:
             return VerifiedBox(box, check, g, torch.zeros_like(g))
         reach = _GROWS_M + margin_m
-        lower, upper = (
-            torch.minimum(box.lower, inside.amin(0) - reach),
-            torch.maximum(box.upper, inside.amax(0) + reach),
-        )
+        lower = torch.minimum(box.lower, inside.amin(0) - reach)
+        upper = torch.maximum(box.upper, inside.amax(0) + reach)
         box = Box(torch.maximum(lower, ball.lower), torch.minimum(upper, ball.upper))
     nothing = torch.empty(0, dtype=torch.float64)
     return VerifiedBox(ball, nothing.reshape(0, 3), nothing, nothing)

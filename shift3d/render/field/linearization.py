@@ -96,17 +96,15 @@ def linearize(field: ObjectField, rays: Rays, k: Tensor) -> Linearization:
     Costs two evaluations a position, counted as one. Has derivatives by the code only if the code requires a gradient.
     """
     x_object = rays.at(k)
-    if len(rays) and isinstance(field.sdf, DecoderField):
-        g, gradient, at_bias = _of_decoder(field, field.sdf, x_object, field.sdf.code_layers)
-        biases = {layer: field.sdf.biases[layer].detach() for layer in at_bias}
-        return Linearization(rays.index, k, x_object, g, gradient, at_bias, biases)
-    g, gradient, graph = _by_autograd(field, x_object)
-    return Linearization(rays.index, k, x_object, g, gradient, {}, {}, graph)
-
-
-def _of_decoder(
-    field: ObjectField, sdf: DecoderField, x_object: Tensor, layers: tuple[int, ...]
-) -> tuple[Tensor, Tensor, dict[int, Tensor]]:
+    if not len(rays) or not isinstance(field.sdf, DecoderField):
+        with torch.enable_grad():
+            with_code = field.depends_on_code()
+            leaf = x_object.detach().requires_grad_()
+            graph = field(leaf)
+            (gradient,) = torch.autograd.grad(graph.sum(), leaf, retain_graph=with_code)
+        g = graph.detach().double()
+        return Linearization(rays.index, k, x_object, g, gradient, {}, {}, graph if with_code else None)
+    sdf, layers = field.sdf, field.sdf.code_layers
     parts = [sdf.tangent(x, layers) for x in field.to_sdf(x_object).split(field.batch)]
     field.count.evaluations += len(x_object)
     g = torch.cat([part.value for part in parts]).double() * field.scale_m
@@ -115,14 +113,5 @@ def _of_decoder(
         layer: torch.cat([part.at_bias[number] for part in parts]) * field.scale_m
         for number, layer in enumerate(layers)
     }
-    return g, gradient, at_bias
-
-
-def _by_autograd(field: ObjectField, x_object: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Linearize any field by autograd: g, its gradient by position, and g with its graph to the code."""
-    with torch.enable_grad():
-        with_code = field.depends_on_code()
-        leaf = x_object.detach().requires_grad_()
-        g = field(leaf)
-        (gradient,) = torch.autograd.grad(g.sum(), leaf, retain_graph=with_code)
-    return g.detach().double(), gradient, g if with_code else None
+    biases = {layer: sdf.biases[layer].detach() for layer in layers}
+    return Linearization(rays.index, k, x_object, g, gradient, at_bias, biases)

@@ -35,10 +35,13 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
     """
     index = beams_near(beams, theta[:3].detach(), SPHERE_RADIUS_M)
     if len(index) == 0:
-        return FirstHits.none()
+        nothing = beams.ranges_m[index]
+        return FirstHits(index, nothing, nothing, index)
     rays = _ending_at_sphere(object_rays(beams, index, theta))
+    longest = float(rays.far_m.max()) / settings.step_m
+    at_once = max(1, int(1_000_000 / max(longest, 1.0)))  # beams with about a million samples together
     found, unresolved = [], []
-    for rows in torch.arange(len(rays)).split(_beams_at_once(rays, settings)):
+    for rows in torch.arange(len(rays)).split(at_once):
         part = rays.select(rows)
         samples = (part.far_m / settings.step_m).ceil().clamp_min(1.0)
         first_inside, lost = _first_sample_inside(part, samples, field, settings)
@@ -68,12 +71,6 @@ def _ending_at_sphere(rays: Rays) -> Rays:
     return replace(rays, far_m=torch.where(rays.far_m > FARTHEST_RETURN_M, leaves, rays.far_m))
 
 
-def _beams_at_once(rays: Rays, settings: RenderSettings) -> int:
-    """Return the number of beams whose samples fit in the memory for about a million points."""
-    longest = float(rays.far_m.max()) / settings.step_m
-    return max(1, int(1_000_000 / max(longest, 1.0)))
-
-
 def _first_sample_inside(
     rays: Rays, samples: Tensor, field: ObjectField, settings: RenderSettings
 ) -> tuple[Tensor, Tensor]:
@@ -86,7 +83,8 @@ def _first_sample_inside(
     k = j * (rays.far_m / samples)[:, None]
     wanted = j <= samples[:, None]
     if settings.sphere_chord_only:
-        wanted &= _within_sphere(rays, k, float((rays.far_m / samples).max()))
+        (along, half), margin_m = _chord(rays), float((rays.far_m / samples).max())
+        wanted &= (k >= along - half - margin_m) & (k <= along + half + margin_m)
     row, column = torch.nonzero(wanted, as_tuple=True)
     negative, lost = torch.zeros(wanted.shape, dtype=torch.bool), torch.zeros(wanted.shape, dtype=torch.bool)
     for r, c in zip(row.split(settings.batch), column.split(settings.batch)):
@@ -95,12 +93,6 @@ def _first_sample_inside(
     first = torch.where(negative.any(1), negative.to(torch.uint8).argmax(1), -1)
     last = torch.where(first < 0, count, first)
     return first, (lost & (torch.arange(count) <= last[:, None])).any(1)
-
-
-def _within_sphere(rays: Rays, k: Tensor, margin_m: float) -> Tensor:
-    along, half = _chord(rays)
-    within: Tensor = (k >= along - half - margin_m) & (k <= along + half + margin_m)
-    return within
 
 
 def _chord(rays: Rays) -> tuple[Tensor, Tensor]:

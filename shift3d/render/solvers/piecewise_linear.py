@@ -88,9 +88,6 @@ class Traversal:
     def _give_up(self, rows: Tensor) -> None:
         self.undecided[rows], self._under_way[rows] = True, False
 
-    def _end(self, rows: Tensor) -> None:
-        self._under_way[rows] = False
-
     def _step(self, rows: Tensor) -> None:
         """Evaluate the field and advance as far as the bound on the slope allows.
 
@@ -144,7 +141,7 @@ class Traversal:
         root = torch.where(slope < 0, -g / slope, torch.inf)
         found = (root <= length) & (k_kept + root <= self.rays.far_m[kept])
         self.root_m[kept[found]] = k_kept[found] + root[found]
-        self._end(kept[found])
+        self._under_way[kept[found]] = False
         rows, k, g, length = kept[~found], k_kept[~found], g[~found], length[~found]
         # The bound is that of the field after its tanh, whose value is below the value before the tanh.
         safe = torch.tanh(g / self.field.scale_m) * self.field.scale_m / self._bound[rows]
@@ -154,7 +151,7 @@ class Traversal:
         self._k_before[rows[~jumps]] = torch.nan
         beyond = k[~jumps] + length[~jumps]
         self._k[rows[~jumps]] = beyond
-        self._end(rows[~jumps][beyond > self.rays.far_m[rows[~jumps]]])
+        self._under_way[rows[~jumps][beyond > self.rays.far_m[rows[~jumps]]]] = False
 
     def _consistent_rows(self, rows: Tensor, k: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Select the rows that are outside and respect the bound; send the others back or give them up."""
@@ -181,6 +178,6 @@ class Traversal:
     def _advance(self, rows: Tensor, k: Tensor, g: Tensor, length: Tensor) -> None:
         """Step by a length that the bound proves free; the end of the ray is evaluated once."""
         far = self.rays.far_m[rows]
-        self._end(rows[k >= far])
+        self._under_way[rows[k >= far]] = False
         self._k[rows] = torch.minimum(k + length, far)
         self._k_before[rows], self._g_before[rows] = k, g

@@ -209,13 +209,13 @@ def _traced(state: WarmStart, chosen: Tensor, field: ObjectField, settings: Rend
     rows = torch.nonzero(chosen).squeeze(1)
     if len(rows) == 0:
         return state
-    traced = trace(state.rays.select(rows), field, settings)
+    samples, near_m, undecided = trace(state.rays.select(rows), field, settings)
     return replace(
         state,
-        rays=replace(state.rays, near_m=state.rays.near_m.index_copy(0, rows, traced.near_m)),
-        samples=state.samples.of_rays(~chosen).joined(traced.samples.on(rows)),
+        rays=replace(state.rays, near_m=state.rays.near_m.index_copy(0, rows, near_m)),
+        samples=state.samples.of_rays(~chosen).joined(samples.on(rows)),
         range_m=torch.where(chosen, torch.nan, state.range_m),
-        undecided=state.undecided.index_copy(0, rows, traced.undecided),
+        undecided=state.undecided.index_copy(0, rows, undecided),
     )
 
 

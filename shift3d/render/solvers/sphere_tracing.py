@@ -7,7 +7,7 @@ known. Its steps are as long as the spheres at both their ends probably reach; `
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -76,17 +76,10 @@ def outside(rays: Rays, field: ObjectField) -> tuple[Rays, Tensor, Tensor]:
     return replace(rays, near_m=k), g, ~(torch.isfinite(g) & (g >= 0))
 
 
-@dataclass(frozen=True)
-class Traced:
-    """Samples of M rays, each up to its first place inside; near_m (M,): starts of the rays; undecided (M,) bool."""
-
-    samples: RaySamples
-    near_m: Tensor
-    undecided: Tensor
-
-
-def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> Traced:
+def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> tuple[RaySamples, Tensor, Tensor]:
     """Sample rays of which nothing is known. The intervals between the samples are not proven free.
+
+    Returns samples of each ray up to its first place inside, (M,) the starts of the rays, and (M,) bool, undecided.
 
     A beam along a panel keeps its distance from the panel, and the sphere at the far end of a step covers as much of
     the step as the sphere at its near end: if g continues at its slope, twice the length is free. Source: Keinert et
@@ -110,4 +103,4 @@ def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> Traced:
         rows = rows[(g_new >= 0) & (k_new < rays.far_m[rows]) & ~undecided[rows]]
     rows, k, g = (torch.cat(part) for part in zip(*parts, strict=True))
     samples = RaySamples(rows, k, g, torch.zeros_like(g))
-    return Traced(RaySamples.none().joined(samples.select(~undecided[rows])), rays.near_m, undecided)
+    return RaySamples.none().joined(samples.select(~undecided[rows])), rays.near_m, undecided

@@ -89,6 +89,13 @@ def test_too_few_codes_are_refused_with_how_many_would_do(codes: np.ndarray) -> 
         pca_space(torch.zeros(8), codes, 5, "some checkpoint")
 
 
+def test_more_components_than_a_code_has_values_are_refused() -> None:
+    short = np.random.default_rng(2).standard_normal((30, 4)).astype(np.float32)
+    assert len(pca_space(torch.zeros(4), short, 4, "some checkpoint").start) == 4
+    with pytest.raises(InputError, match="do not spread along 5 directions"):
+        pca_space(torch.zeros(4), short, 5, "some checkpoint")
+
+
 def box() -> ParameterBox:
     basis = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0]], np.float32)
     low, high = np.array([-1.0, 0.0]), np.array([3.0, 0.5])

@@ -49,11 +49,11 @@ def samples_at(rays: Rays, metric: Field, ranges: list[float] | Tensor) -> RaySa
 def cold(rays: Rays, metric: Field, settings: RenderSettings = FLOAT64) -> Refinement:
     """Refine rays without any samples."""
     field = field_of(metric)
-    traced = trace(rays, field, settings)
-    started = Rays(rays.index, rays.origins, rays.directions, traced.near_m, rays.far_m)
+    samples, near_m, undecided = trace(rays, field, settings)
+    started = Rays(rays.index, rays.origins, rays.directions, near_m, rays.far_m)
     nowhere = torch.full_like(rays.far_m, math.nan)
-    found = refine(traced.samples, started, nowhere, field, settings)
-    return Refinement(found.samples, found.brackets, found.undecided | traced.undecided, found.open)
+    found = refine(samples, started, nowhere, field, settings)
+    return Refinement(found.samples, found.brackets, found.undecided | undecided, found.open)
 
 
 def is_found(found: Refinement) -> Tensor:

@@ -155,6 +155,22 @@ def test_a_killed_fit_keeps_each_mesh_and_ends_as_one_that_was_not(
     assert VehicleSet(out).names() == ["a", "b"] and len(resumed) == 2 + 2 + 3
 
 
+def test_a_file_name_that_is_no_utf_8_is_kept_like_any_other(
+    tmp_path: Path, coarse: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "meshes").mkdir()
+    mesh = tmp_path / "meshes" / os.fsdecode(b"caf\xe9.ply")
+    mesh.write_bytes(trimesh.creation.box((2.0, 1.0, 4.0)).export(file_type="ply"))
+    words = ["fit", str(mesh.parent), "unit=m", "steps=2", f"out={tmp_path / 'set'}"]
+    code = main(words)
+    kept = contents(tmp_path / "set", "kept/*")
+    assert len(kept) == 1 and "searching its code" in capsys.readouterr().err
+    assert main(words) == code and contents(tmp_path / "set", "kept/*") == kept
+    assert "searching its code" not in capsys.readouterr().err
+    (facts,) = json.loads((tmp_path / "set" / "sdf.json").read_text())["vehicles"]
+    assert Path(facts["file"]).is_file()
+
+
 def test_another_mesh_word_decoder_or_program_and_a_damaged_file_are_fitted_again(
     tmp_path: Path, coarse: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
