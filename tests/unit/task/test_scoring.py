@@ -101,7 +101,7 @@ def test_scored_nearby_is_scored_afresh_for_less(assets: Assets) -> None:
 
     def answer(code: torch.Tensor, nearby: NoisyCopyScorer | None) -> tuple[float, float, int]:
         found = score_object(problem, code, problem.theta0, 5.0, nearby=nearby)
-        one = found.answers["pointpillars"]
+        one = found.results["pointpillars"]
         return one.score, one.adversarial_loss, found.measurement.rendering.evaluations
 
     def start() -> NoisyCopyScorer:
