@@ -30,8 +30,9 @@ examples:
 
 The settings are those of sweeps/retrieval.yaml: the pool's scenes, the decoder (vehicle=), the detector that scores the
 pool's vehicles where the scenes have them, the runner. The same settings use the same pool again. pool=DIR names the
-pool's folder. The command refuses vehicles with fewer than 10 points. It flags vehicles seen from one side only,
-vehicles that do not fit their box, and shapes without a surface; it never retrieves a flagged vehicle."""
+pool's folder. The command refuses vehicles with fewer than 10 points and vehicles beyond the detector's grid. It flags
+vehicles seen from one side only, vehicles that do not fit their box, and shapes without a surface; it never retrieves a
+flagged vehicle."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
