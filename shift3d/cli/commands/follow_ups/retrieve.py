@@ -36,6 +36,7 @@ flagged vehicle."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.results import with_effects_requested
     from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
     from shift3d.processor import configure_runtime
     from shift3d.settings.catalogue.reading import read_catalogue
@@ -66,7 +67,7 @@ def _run(arguments: argparse.Namespace) -> int:
     scored = retrieve(folder, pool, config.runner)
     if scored.final is None:
         return interrupted(scored)
-    table = retrieval_table(scored.final.frame("retrieved"))
+    table = retrieval_table(with_effects_requested(scored.final.frame("retrieved"), sweep.tasks))
     print(f"\n{table if table else 'no adversarial shape has a score: nothing to retrieve'}\n")
     print(f"{folder / 'final' / 'retrieved.parquet'} written in {fitted.seconds + scored.seconds:.0f} s")
     print(f"pictures and curves: shift3d report {folder}; the sweep's command copies the scores to MLflow")
