@@ -13,6 +13,7 @@ from pathlib import Path
 __all__ = [
     "configure_runtime",
     "has_fast_bfloat16",
+    "instructions",
     "onednn_float32_is_faster",
     "pad_to_bucket",
     "rounding",
@@ -62,11 +63,19 @@ def has_fast_bfloat16() -> bool:
     """True if this processor has instructions for products of bfloat16 matrices.
 
     Emulated bfloat16 is about sixty times slower than float32 (measured: 1.2 against 70 GFLOP/s on one core with AVX2
-    alone). Code checks this before every use of bfloat16 on a CPU.
+    alone). Code checks this on its own machine before it uses bfloat16, except for the detector of a search: its
+    precision is part of the plan, which the driver makes for its own processor.
     """
     import torch
 
     return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+
+
+def instructions() -> str:
+    """Describe the instructions that decide rounding on this processor, such as "AVX512 with bfloat16"."""
+    import torch
+
+    return f"{torch.backends.cpu.get_cpu_capability()} {'with' if has_fast_bfloat16() else 'without'} bfloat16"
 
 
 @functools.cache

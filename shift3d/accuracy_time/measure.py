@@ -107,7 +107,7 @@ class CaseMeasurer:
         detector = self.assets.detector_of(spec.detector, setting.score_precision)
         scoring = dataclasses.replace(problem, detector=detector)
         scored = [score_object(scoring, best.latent_code, best.theta, radius_m) for best in found]
-        return {"scores": [float(each.answers[detector.name].score) for each in scored]}
+        return {"scores": [float(each.results[detector.name].score) for each in scored]}
 
     def sample(self, setting: Setting) -> float:
         """Time one rendering, in milliseconds."""

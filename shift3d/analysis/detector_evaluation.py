@@ -23,7 +23,7 @@ from shift3d.analysis.tables.detector_tables import (
 )
 from shift3d.analysis.tables.table import number
 from shift3d.detectors.base import Detector
-from shift3d.detectors.loading import detector_of
+from shift3d.detectors.loading import detector_of, runtime_of
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
 from shift3d.errors import InputError
@@ -103,7 +103,7 @@ def evaluate_detector(
     ``out`` gets spec.json, detections.parquet, truth.parquet, vehicles.parquet, metrics.parquet, breakdown.parquet,
     curves.parquet and curves.png, whose bytes do not depend on the number of workers, and timings.parquet, which
     differs from run to run. ``out``/scenes holds the answer for each scene. A repeated call detects only in scenes
-    whose answer is missing, or whose source files or program code have changed since.
+    whose answer is missing, or whose source files, program code or libraries have changed since.
 
     Args:
         name: detector; it uses its shipped weights or those of the file ``weights``, which may be an ONNX file.
@@ -138,15 +138,15 @@ def evaluate_detector(
         refuse_tuned_scenes(file, [(opened_scenes.dataset, scene, "") for scene in scene_names])
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, open_scenes, workers, score_threshold)
-    found = stored_or_detected(scene_names, out / "scenes", detect, partial(_state, opened_scenes))
+    found = stored_or_detected(scene_names, out / "scenes", detect, partial(_state, opened_scenes, name))
     label = f"{name}, {counted(workers, 'worker')}"
     answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
     return write_evaluation(name, dataset_of(scenes), answers, out)
 
 
-def _state(scenes: SceneSet, name: str) -> str:
+def _state(scenes: SceneSet, detector: str, name: str) -> str:
     """Return a digest of a recorded frame's files and of the program; a stored answer is valid for one digest."""
-    text = json.dumps([program_digest(*_CODE), *scenes.source(name)])
+    text = json.dumps([program_digest(*_CODE, runtime=runtime_of(detector)), *scenes.source(name)])
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 

@@ -13,6 +13,7 @@ from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.loss import least_p_value
 from shift3d.analysis.statistics.releases import ReleaseRule
 from shift3d.analysis.tables.gate import Comparison, compare, measures_table, simulated_rates, worst_table
+from shift3d.detectors.loading import runtime_of
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.progress_bar import progress_bar
@@ -58,8 +59,8 @@ def run_gate(
     """Score the suite, compare with a release, and write the results to ``out``.
 
     ``out`` gets gate.parquet (one row per object, worst first), verdict.json, gate.html and the answers, so that a
-    killed gate resumes. Answers of another program version are computed again. The same call writes the same bytes,
-    whatever the number of workers.
+    killed gate resumes. Answers of another version of the program or its libraries are computed again. The same call
+    writes the same bytes, whatever the number of workers.
 
     Raises: InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
     folder, a damaged suite.
@@ -77,9 +78,9 @@ def run_gate(
         what = f"{detector} has no release to compare with, and the suite does not hold its scores of all objects"
         raise InputError(what, str(releases), "Give accept=true to make these weights the first release")
     _claim(out, suite, scorer)
-    answers, scores = out / f"answers-{program_digest(*_SCORING)[:16]}", dict[str, float]()
+    program, scores = program_digest(*_SCORING, runtime=runtime_of(scorer.name)), dict[str, float]()
     with progress_bar(total=len(suite.objects), desc="scoring", unit="object") as bar:
-        for table in score_suite(suite, scorer, answers, settings.workers):
+        for table in score_suite(suite, scorer, out / f"answers-{program[:16]}", settings.workers):
             scores |= zip(table["object_id"], table["score"], strict=True)
             bar.update(len(table))
     after = {key: scores[key] for key in suite.objects["object_id"]}

@@ -18,6 +18,7 @@ from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import read_final
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import Tasks
 
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
 # Tables that folders of older versions do not have.
@@ -33,8 +34,9 @@ class Sweep:
     """Plan and tables of a sweep.
 
     environment: content of ``env.json``, which records the program and machine. The other attributes are tables of
-    ``final/``. verification is None if the sweep was not verified. trajectories, transfers, bev_transfer, choices,
-    shapes, vehicle_pool, retrieved and patterns are empty if the sweep has none.
+    ``final/``; retrieved and verification have the column of `with_effects_requested` as well. verification is None if
+    the sweep was not verified. trajectories, transfers, bev_transfer, choices, shapes, vehicle_pool, retrieved and
+    patterns are empty if the sweep has none.
     """
 
     plan: Plan
@@ -59,7 +61,7 @@ class Sweep:
     def scored(self) -> pd.DataFrame:
         """Rows with a score, one per requested effects setting, with `place` and `natural` (None if not measured)."""
         rows = self.scores[self.scores["score"].notna()]
-        rows = rows.assign(effects=self.plan.tasks.effects_requested_of(rows["task_id"])).explode("effects")
+        rows = with_effects_requested(rows, self.plan.tasks).explode("effects")
         natural = rows["task_id"].map(self.verdicts).astype(object)
         return rows.assign(place=places_of(rows), natural=natural.where(natural.notna(), None))
 
@@ -103,6 +105,11 @@ def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
     return {str(task): bool(natural) for task, natural in zip(found["task_id"], found["natural"])}
 
 
+def with_effects_requested(rows: pd.DataFrame, tasks: Tasks) -> pd.DataFrame:
+    """Return rows with the column effects: the list of the requested settings that lead to the row's task."""
+    return rows.assign(effects=tasks.effects_requested_of(rows["task_id"]))
+
+
 def with_places(scores: pd.DataFrame) -> pd.DataFrame:
     """Return rows of ``scores`` with the columns `PLACE` of their task's baseline, NaN without a baseline."""
     base = scores[scores["method"] == "baseline"].drop_duplicates("task_id").set_index("task_id")
@@ -114,7 +121,9 @@ def sweep_of(plan: Plan, tables: Mapping[str, pd.DataFrame], environment: Mappin
     """Build a sweep from its tables of ``final/``."""
     later = {name: tables[name] if name in tables else SCHEMAS[name].empty_table().to_pandas() for name in _LATER}
     own = {name: tables[name] for name in _TABLES}
-    return Sweep(plan, environment, **own, **later, verification=tables.get("verification"))
+    later["retrieved"] = with_effects_requested(later["retrieved"], plan.tasks)
+    verified = with_effects_requested(tables["verification"], plan.tasks) if "verification" in tables else None
+    return Sweep(plan, environment, **own, **later, verification=verified)
 
 
 def read_sweep(folder: LocationLike) -> Sweep:

@@ -64,14 +64,16 @@ def _nested(values: Any) -> Aucs:
 def differing_settings(rows: pd.DataFrame, names: Sequence[str]) -> list[str]:
     """Describe, row by row, the settings that differ among the rows; empty texts if none differs.
 
-    names: columns; names that the rows lack are skipped. Effects are a list of names.
+    names: columns; names that the rows lack are skipped. Effects are a requested setting or a list of names.
     """
     several = [name for name in names if name in rows and rows[name].map(_words).nunique() > 1]
     return [", ".join(map(_words, values)) for values in rows[several].itertuples(index=False)]
 
 
 def _words(value: str | Sequence[str]) -> str:
-    return label_words(value) if isinstance(value, str) else "+".join(value) or "no effects"
+    if isinstance(value, str):
+        return "no effects" if value == "none" else label_words(value)
+    return "+".join(value) or "no effects"
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,15 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class BevWindow:
-    """Part of the detector's bird's-eye grid, in cells.
+    """Part of a bird's-eye grid, in cells of that grid, never in metres.
 
     The network runs on the outer rectangle (x0, y0, num_x, num_y) and returns proposals of the core only. The ring
     between the two rectangles is the margin of the receptive field: proposals of the core equal those of the full
-    scene. Cell (0, 0) is the corner of the grid with the smallest x and y.
+    scene. Cell (0, 0) begins at the grid's origin, for a `Grid` its corner with the smallest x and y.
+
+    The grid is that of the detector whose `window_for` made the window: the pillars of a network, squares of 1 m of an
+    ONNX file. A function with arguments ``grid`` and ``window`` takes a window in cells of this grid. Heads have a
+    coarser grid than pillars: see `DetectorNet.head_grid` and `DetectorNet.head_window`.
     """
 
     x0: int

@@ -60,3 +60,15 @@ def detector_of(
     from shift3d.detectors.user_detector import load_user_detector
 
     return load_user_detector(Path(module).expanduser(), None if path is None else Path(path).expanduser(), precision)
+
+
+def runtime_of(name: str) -> str:
+    """Return the library with its version that computes a detector's scores, for cache keys; "" if torch does.
+
+    The packages of the detector must be installed.
+    """
+    if name != ONNX:
+        return ""
+    import onnxruntime
+
+    return f"onnxruntime {onnxruntime.__version__}"

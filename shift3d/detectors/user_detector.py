@@ -52,7 +52,7 @@ class UserDetector(NmsDetector):
         self._model, self._where, self._dtype = model, where, dtype
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
-        """See `Detector`: every call returns the same window, which means the whole scene."""
+        """See `Detector`: every call returns the same window of one cell, the whole scene."""
         return _WHOLE
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:

@@ -79,7 +79,11 @@ def source_digest(*parts: str) -> str:
 
 
 @functools.cache
-def program_digest(*parts: str) -> str:
-    """Return the BLAKE2b digest of `source_digest` and of the versions of the libraries that compute cached results."""
+def program_digest(*parts: str, runtime: str = "") -> str:
+    """Return the BLAKE2b digest of `source_digest` and of the versions of the libraries that compute cached results.
+
+    runtime: a further library with its version, see `detectors.loading.runtime_of`.
+    """
     libraries = [f"{library} {importlib.metadata.version(library)}" for library in _LIBRARIES]
-    return hashlib.blake2b("\n".join([*libraries, source_digest(*parts)]).encode(), digest_size=16).hexdigest()
+    lines = [*filter(None, [runtime]), *libraries, source_digest(*parts)]
+    return hashlib.blake2b("\n".join(lines).encode(), digest_size=16).hexdigest()

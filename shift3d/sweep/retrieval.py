@@ -21,8 +21,8 @@ from shift3d.sweep.planning.plan import Plan
 FOLDER = "retrieval"
 """Folder of the retrievals in a sweep's folder; each pool has a subfolder, a sweep's folder with a log."""
 _POOL, _RETRIEVED = "vehicle_pool", "retrieved"
-_VERSION = 2
-"""Part of the pool's name and so of its hash; raised when a crop gets another fit under the same settings."""
+_VERSION = 3
+"""Part of the pool's name and so of its hash; raised when a crop gets another fit or status under the same settings."""
 
 
 def pool_plan(plan: Plan) -> Plan:

@@ -65,9 +65,9 @@ class Rows:
                 shape = {"method": candidate.method, "replicate": candidate.replicate}
                 self._found.shapes.append(shape | shape_columns(naturalness))
         for name in self._spec.scored_by:
-            answer = scored.answers[name]
+            result = scored.results[name]
             row = self._row(name, candidate.method, candidate.replicate, candidate.status)
-            values = {"score": answer.score, "adversarial_loss": answer.adversarial_loss}
+            values = {"score": result.score, "adversarial_loss": result.adversarial_loss}
             broken = sum(not math.isfinite(value) for value in values.values())
             self._found.scores.append(row | same | values | {"non_finite": measured.non_finite + broken})
         self._found.solutions.append(

@@ -74,11 +74,11 @@ class DetectorResult:
 class ScoredObject:
     """Results of scoring one candidate.
 
-    answers: by the detector's name, the attacked one first. measurement: rendering and constraints. milliseconds: by
+    results: by the detector's name, the attacked one first. measurement: rendering and constraints. milliseconds: by
     stage; the attacked detector's is "detector", another's "scored_by_<name>".
     """
 
-    answers: dict[str, DetectorResult]
+    results: dict[str, DetectorResult]
     measurement: Measurement
     milliseconds: dict[str, float]
 
@@ -131,11 +131,11 @@ def score_object(
         box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
         spent = dict(measurement.milliseconds)
         with timed(spent, "detector"):
-            answers = {problem.detector.name: _answer(measurement.proposals, box, radius_m)}
+            results = {problem.detector.name: _result(measurement.proposals, box, radius_m)}
         for name, detector in (others or {}).items():
             with timed(spent, f"scored_by_{name}"):
-                answers |= score_points(problem, measurement.rendering.points, theta, radius_m, {name: detector})
-    return ScoredObject(answers, measurement, spent)
+                results |= score_points(problem, measurement.rendering.points, theta, radius_m, {name: detector})
+    return ScoredObject(results, measurement, spent)
 
 
 @contextlib.contextmanager
@@ -163,7 +163,7 @@ def score_box(
     metres.
     """
     found = boxes_around(points, box, ground_z_m, detectors)
-    return {name: _answer(proposals, box, radius_m) for name, proposals in found.items()}
+    return {name: _result(proposals, box, radius_m) for name, proposals in found.items()}
 
 
 def boxes_around(
@@ -196,6 +196,6 @@ def detections_until(proposals: Proposals, box: NDArray[np.float64], wanted: NDA
     return suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU, torch.from_numpy(around), wanted)
 
 
-def _answer(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> DetectorResult:
+def _result(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> DetectorResult:
     detections = detections_near(proposals, box, radius_m)
     return DetectorResult(detection_score(detections, box, radius_m), float(adversarial_loss(proposals, box)))

@@ -83,5 +83,5 @@ def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor, ve
         "status": "ok",
     }
     for name in moved.scored_by:
-        scores = {"score_baseline": before.answers[name].score, "score": after.answers[name].score}
+        scores = {"score_baseline": before.results[name].score, "score": after.results[name].score}
         yield known | scores | {"scored_by": name}

@@ -102,7 +102,7 @@ def a_segment_of_foreign_tasks() -> None:
         foreign = [{**row, "task_id": "0" * 32} for row in rows("scores", plan().tasks[0])]
         write_table(folder / SCORES, table_from_rows("scores", foreign))
 
-    refused(lambda: final_after(swap), "3 rows of scores", "plan")
+    refused(lambda: final_after(swap), "data, scores: 3 rows", "plan")
 
 
 @hard_case(

@@ -36,7 +36,7 @@ def follow_up_metrics(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:
     """Return metrics of the tables that `shift3d patterns` and `shift3d retrieve` add to ``final/``, if present.
 
     ``patterns/<group>/<measure>`` is a mean change over solutions. ``retrieval/<group>/retrieved``, ``baseline``,
-    ``shape`` and ``controls`` are mean scores.
+    ``shape`` and ``controls`` are mean scores. ``retrieved`` is as `retrieval_groups` takes it.
     """
     found: dict[str, float] = {}
     if "patterns" in tables:

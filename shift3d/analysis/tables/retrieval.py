@@ -102,8 +102,12 @@ class NaturalKinGroup:
 
 
 def retrieval_groups(retrieved: pd.DataFrame) -> list[NaturalKinGroup]:
-    """Group the kin that the paper's rule keeps by search and scoring detector. retrieved: the table of ``final/``."""
-    retrieved = retrieved.assign(settings=differing_settings(retrieved, ("accuracy",)))
+    """Group the kin that the paper's rule keeps by search and scoring detector.
+
+    retrieved: the table of ``final/``, with `with_effects_requested` if effects may differ.
+    """
+    retrieved = retrieved.explode("effects") if "effects" in retrieved else retrieved
+    retrieved = retrieved.assign(settings=differing_settings(retrieved, ("accuracy", "effects")))
     solutions = retrieved[retrieved["role"] == "retrieved"]
     counts = solutions.groupby(_GROUP, dropna=False).size()
     found = []

@@ -24,7 +24,7 @@ _GROUP = ["method", "mode", "lambda", "scored_by", "settings"]
 
 
 def stability_lines(verification: pd.DataFrame) -> str:
-    """Format the printed table, with unstable solutions and causes. verification: the table of ``final/``."""
+    """Format the printed table, with unstable solutions and causes. verification: see `stability_table`."""
     parts = [str(stability_table(verification))]
     if unstable := unstable_lines(verification, shown=10):
         count = int((~verification["stable"]).sum())
@@ -33,9 +33,14 @@ def stability_lines(verification: pd.DataFrame) -> str:
 
 
 def stability_table(verification: pd.DataFrame) -> Table:
-    """Build the table of verified solutions by method, mode, lambda, scoring detector and other differing settings."""
+    """Build the table of verified solutions by method, mode, lambda, scoring detector and other differing settings.
+
+    verification: the table of ``final/``, with `with_effects_requested` if effects may differ.
+    """
+    verification = verification.explode("effects") if "effects" in verification else verification
     alpha = [f"alpha {value:g}" for value in verification["alpha"]]
-    settings = differing_settings(verification.assign(alpha=alpha), ("search", "alpha", "detector", "accuracy"))
+    names = ("search", "alpha", "detector", "accuracy", "effects")
+    settings = differing_settings(verification.assign(alpha=alpha), names)
     lines = []
     for key, rows in verification.assign(settings=settings).groupby(_GROUP, sort=False, dropna=False):
         method, mode, weight, scored_by, other = key

@@ -209,7 +209,7 @@ def _show_effects(sweep: Sweep, folder: Location) -> None:
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
     from shift3d.analysis.mlflow import sweep as mlflow_sweep
-    from shift3d.analysis.results import natural_by_task
+    from shift3d.analysis.results import natural_by_task, with_effects_requested
 
     assert result.final is not None
     counts: dict[str, float] = {
@@ -222,7 +222,10 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         counts |= {"solutions_verified": len(stable), "solutions_unstable": int((~stable).sum())}
     if verdicts := natural_by_task(result.final.frame("scores")):
         counts |= {"shapes_measured": len(verdicts), "shapes_natural": sum(verdicts.values())}
-    counts |= mlflow_sweep.follow_up_metrics({name: result.final.frame(name) for name in result.final.tables})
+    tables = {name: result.final.frame(name) for name in result.final.tables}
+    if "retrieved" in tables:
+        tables["retrieved"] = with_effects_requested(tables["retrieved"], plan.tasks)
+    counts |= mlflow_sweep.follow_up_metrics(tables)
     settings = {"settings": plan.common_settings, "axes": plan.axes}
     auc, curves = result.final.frame("auc"), result.final.frame("curves")
     record = mlflow_sweep.SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)

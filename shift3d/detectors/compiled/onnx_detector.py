@@ -37,8 +37,9 @@ _SATURATED = 2.0**-24
 class OnnxDetector(NmsDetector):
     """ONNX session behind the `Detector` interface. The network gets the whole scene in every call.
 
-    A window, in cells of 1 m around the origin, selects the boxes with centres in its core as proposals: a file without
-    suppression outputs half a million boxes, and computing all their overlaps costs more than the network.
+    The cells of a window are squares of 1 m, and cell (0, 0) begins at the origin of the network frame. A window
+    selects the boxes with centres in its core as proposals: a file without suppression outputs half a million boxes,
+    and computing all their overlaps costs more than the network.
 
     Args: session: of a file that `load_onnx` has checked. where: name of the file in error messages.
 

@@ -70,6 +70,7 @@ WAYMO_ANCHORS = AnchorSpec()
 def anchor_boxes(spec: AnchorSpec, grid: Grid, window: BevWindow) -> Tensor:
     """Return the anchors of the window's core: (A, 7) float32, network frame, ordered by y, then x, then heading.
 
+    window: in cells of the grid.
     Source: public Waymo config of PointPillars (bottom of the anchor at the ground).
     """
     length, width, height = spec.size_m

@@ -38,10 +38,13 @@ class BoxHeads(nn.Module, ABC):
 
     @abstractmethod
     def decode(self, rows: Tensor, grid: Grid, window: BevWindow) -> Tensor:
-        """Return the core's boxes (A, 7), metres, network frame, detached. rows: (cells, R) of all `box_layers`."""
+        """Return the core's boxes (A, 7), metres, network frame, detached. rows: (cells, R) of all `box_layers`.
+
+        grid: of the heads. window: in its cells.
+        """
 
     def reported(self, logits: Tensor, window: BevWindow) -> Tensor | None:
-        """Return a mask (A,) bool of the core's proposals that enter suppression; None: all."""
+        """Return a mask (A,) bool of the core's proposals that enter suppression; None: all. window: as in `decode`."""
         return None
 
     @property
@@ -74,7 +77,7 @@ def map_to_rows(output: Tensor) -> Tensor:
 
 
 def proposal_indices(per_cell: int, grid: Grid, window: BevWindow) -> Tensor:
-    """Return the index of each of the core's proposals in the full grid: (A,) int64."""
+    """Return the index of each of the core's proposals in the full grid: (A,) int64. window: in cells of the grid."""
     lines, columns = core_cells(window)
     cells = lines[:, None] * grid.num_x + columns[None, :]
     return (cells[..., None] * per_cell + torch.arange(per_cell)).reshape(-1)
@@ -102,7 +105,7 @@ class DetectorNet(nn.Module, ABC):
         return self.grid
 
     def head_window(self, window: BevWindow) -> BevWindow:
-        """Convert a window to cells of `head_grid`."""
+        """Convert a window from cells of `grid` to cells of `head_grid`."""
         return window
 
     @abstractmethod

@@ -14,6 +14,7 @@ import yaml  # type: ignore[import-untyped]
 
 import shift3d
 from shift3d.errors import InputError
+from shift3d.processor import instructions
 from shift3d.settings.compose import leaves
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
@@ -113,12 +114,13 @@ def _spec_bytes(plan: Plan) -> bytes:
 
 
 def _environment() -> dict[str, Any]:
-    """Return the versions and the machine, for readers who ask why the results of two machines differ."""
+    """Return the driver's versions and machine, for readers who ask why the results of two machines differ."""
     return {
         "shift3d": shift3d.__version__,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "machine": platform.machine(),
+        "instructions": instructions(),
         "cpus": os.cpu_count(),
         "libraries": library_versions(_LIBRARIES),
     }

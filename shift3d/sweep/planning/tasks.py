@@ -174,13 +174,20 @@ class Tasks(Sequence[PlannedTask]):
         alike = [(made[at][0], name) for (at, name), hashes in contents.items() if len(hashes - {""}) > 1]
         return list(dict.fromkeys(alike))
 
+    def positions_of(self, ids: Any, where: str) -> np.ndarray:
+        """Return the position of each task, by id (any sequence that Arrow takes).
+
+        where: folder or file that the ids are from, for the error. Raises InputError: a task that the plan lacks.
+        """
+        found = pc.index_in(pa.array(ids, type=pa.string()), value_set=self.ids)
+        if found.null_count:
+            what = f"{counted(found.null_count, 'row')} of tasks that the plan does not have"
+            raise InputError(what, where, "Restore the folder from a copy, or run the sweep in another one")
+        return np.asarray(found, dtype=np.int64)
+
     def effects_requested_of(self, ids: Any) -> list[list[str]]:
-        """Return the effect settings that lead to tasks, by id (any sequence that Arrow takes). An unknown id gets
-        none, or the only settings of the plan."""
-        if len(self.requested_values) == 1:
-            return [list(self.requested_values[0])] * len(ids)
-        found = pc.index_in(pa.array(ids, type=pa.string()), value_set=self.ids).to_pylist()
-        return [[] if at is None else list(self.requested_values[self.requested[at]]) for at in found]
+        """Return the effect settings that lead to tasks of tables in ``final/``, by id. See `positions_of`."""
+        return [list(self.requested_values[number]) for number in self.requested[self.positions_of(ids, "final")]]
 
 
 def merged_settings(tasks: Tasks, within_data_set: bool = False) -> list[str]:

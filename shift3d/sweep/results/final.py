@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
@@ -113,11 +112,7 @@ def segments_in_plan_order(folder: LocationLike, entries: Sequence[Commit], name
     Raises: InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
     table = committed_rows(folder, entries, name)
-    found = pc.index_in(table["task_id"], value_set=plan.tasks.ids)
-    if found.null_count:
-        what = f"{found.null_count} rows of {name} are of tasks that the plan does not have"
-        raise InputError(what, where="data", remedy="Restore the folder from a copy, or run the sweep in another one")
-    positions = found.to_numpy()
+    positions = plan.tasks.positions_of(table["task_id"], f"data, {name}")
     if name == "attempts":
         order = np.lexsort((table["attempt"].to_numpy(), positions))
     else:

@@ -109,8 +109,8 @@ def verify_object(spec: TaskSpec, solution: Solution, problems: VerificationProb
     return VerificationResult(
         again=_scores(again),
         reference=_scores(true),
-        noise={name: [draw[name].score for draw in noisy] for name in again.answers},
-        nearby={name: [draw.answers[name].score for draw in near] for name in again.answers},
+        noise={name: [draw[name].score for draw in noisy] for name in again.results},
+        nearby={name: [draw.results[name].score for draw in near] for name in again.results},
         found=differences((found.hit_mask, found.range_m), (truth.hit_mask, truth.range_m)),
         unresolved=found.unresolved_beams,
         unresolved_reference=truth.unresolved_beams,
@@ -130,7 +130,7 @@ def _score(
 
 
 def _scores(scored: ScoredObject) -> dict[str, float]:
-    return {name: answer.score for name, answer in scored.answers.items()}
+    return {name: result.score for name, result in scored.results.items()}
 
 
 def _noisy_points(spec: TaskSpec, problem: AttackProblem, rendering: Rendering) -> Iterator[Tensor]:

@@ -101,4 +101,4 @@ def _scored(
         "overlap_ok": check.overlap_ok,
         "contact_ok": check.contact_ok,
     }
-    return {name: same | {"scored_by": name, "score": answer.score} for name, answer in found.answers.items()}
+    return {name: same | {"scored_by": name, "score": result.score} for name, result in found.results.items()}

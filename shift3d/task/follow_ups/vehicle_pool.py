@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame
-from shift3d.detectors.base import Proposals
+from shift3d.detectors.base import Detector, Proposals
 from shift3d.errors import InputError
 from shift3d.geometry.iou import iou_bev
 from shift3d.retrieval.crops import Crop, crop_vehicles
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 OWN_IOU = 0.3
 """Least bird's-eye IoU of a box with a label to count as its detection: cars park nearer than 5 m."""
+_AT_CENTRE_M = 0.01
 _VEHICLES, _COMPARED = 5, 1000
 _BOX = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
 
@@ -63,6 +64,8 @@ def reconstructor_of(vehicles: VehicleSource) -> Reconstructor:
 def pool_task(spec: TaskSpec, held: PoolAssets) -> TaskResult:
     """Crop and fit every labelled vehicle of the task's scene: one row each; refused vehicles have the reason.
 
+    A vehicle beyond the detector's grid is refused as well ("beyond_grid"): its score in the scene is unknown.
+
     The result is a pure function of the spec's scene and the content that its hashes name, on one thread.
     Raises: InputError: a scene that cannot be loaded, or that differs from the plan.
     Source: SHIFT3D, supplement, 'Retrieving the Nearest Match'.
@@ -73,9 +76,10 @@ def pool_task(spec: TaskSpec, held: PoolAssets) -> TaskResult:
         crops = crop_vehicles(scene)
     with timed(spent, "detector"):
         scores = _scores(spec, held.assets, scene, crops)
+    crops = [crop if crop.label in scores else replace(crop, refused="beyond_grid") for crop in crops]
     with timed(spent, "fit"):
         truth = _true_meshes(held.assets, spec.scene, crops)
-        known = [{"score": scores[crop.label], "detector": spec.detector} for crop in crops]
+        known = [{"score": scores.get(crop.label, 0.0), "detector": spec.detector} for crop in crops]
         rows = [_row(held.reconstructor, crop, truth.get(crop.label)) | more for crop, more in zip(crops, known)]
     timings: list[Row] = [
         {"method": "pool", "stage": stage, "milliseconds": milliseconds, "calls": len(crops)}
@@ -132,25 +136,32 @@ def _true_meshes(assets: Assets, name: str, crops: list[Crop]) -> Mapping[int, t
 
 
 def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> dict[int, float]:
-    """Return, by label, the best score of a box that overlaps the vehicle at its place.
+    """Return, by label, the best score of a box that overlaps the vehicle at its place; 0 without such a box.
 
-    The score is 0 without such a box, and so for a vehicle beyond the detector's grid.
+    Vehicles beyond the detector's grid are left out.
     """
+    detector = assets.detector_of(spec.detector, "float32")
+    crops = [crop for crop in crops if _in_grid(detector, crop.box)]
     if not crops:
         return {}
     boxes = np.stack([crop.box for crop in crops])
     boxes[:, 2] -= scene.ground_z_m
     middle = (boxes[:, :2].min(axis=0) + boxes[:, :2].max(axis=0)) / 2
     reach = float(np.linalg.norm(boxes[:, :2] - middle, axis=1).max()) + SCORE_RADIUS_M
-    detector = assets.detector_of(spec.detector, "float32")
-    try:
-        window = detector.window_for((float(middle[0]), float(middle[1])), reach)
-    except InputError:  # every vehicle is beyond the grid
-        return {crop.label: 0.0 for crop in crops}
+    window = detector.window_for((float(middle[0]), float(middle[1])), reach)
     points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
     with torch.no_grad():
         proposals = detector.proposals(points, window)
     return {crop.label: overlap_score(proposals, box) for crop, box in zip(crops, boxes)}
+
+
+def _in_grid(detector: Detector, box: NDArray[np.float64]) -> bool:
+    """True if the detector has a cell at the centre of box (7,). Detectors without a grid see every place."""
+    try:
+        detector.window_for((float(box[0]), float(box[1])), _AT_CENTRE_M)
+    except InputError:
+        return False
+    return True
 
 
 def overlap_score(proposals: Proposals, box: NDArray[np.float64]) -> float:

@@ -36,7 +36,7 @@ def test_the_score_is_the_one_that_tasks_report() -> None:
     problem = small_problem()
     scored = score_object(problem, CODE, THETA, radius_m=5.0)
     again = score_of(problem, problem.detector, scored.measurement.rendering, 12.0, 5.0)
-    assert again == scored.answers["wave"].score > 0
+    assert again == scored.results["wave"].score > 0
 
 
 def test_a_score_needs_a_box_near_the_object() -> None:

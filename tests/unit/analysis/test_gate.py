@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from onnx_files import write_model
 from suites_by_hand import PER_SCENE, SCENES, write_detector, write_suite
 
 from shift3d.analysis.gate import Acceptance, GateOutcome, GateSettings, run_gate
@@ -156,6 +158,20 @@ def test_what_another_program_scored_is_scored_again(folder: Path, monkeypatch: 
     monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
     monkeypatch.setattr("shift3d.analysis.gate.program_digest", program_digest.__wrapped__, raising=False)
     assert gate(folder, -2.6).exit_code == ExitCode.WORSE
+
+
+def test_what_another_onnx_runtime_scored_is_scored_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, suite, out = write_model(folder / "mine.onnx"), read_suite(folder / "suite"), as_location(folder / "out")
+
+    def answers() -> list[Path]:
+        run_gate(suite, Scorer("onnx", str(file)), suite.folder / "releases", out, GateSettings(accept="anyway"))
+        return list((folder / "out").glob("answers-*"))
+
+    monkeypatch.setattr("shift3d.analysis.gate.program_digest", program_digest.__wrapped__)
+    (own,) = answers()
+    (folder / "suite" / "releases" / "00000001.parquet").unlink()
+    monkeypatch.setattr(onnxruntime, "__version__", "0.0")
+    assert own in (both := answers()) and len(both) == 2
 
 
 def test_a_verdict_does_not_promise_to_find_what_cannot_be_lost() -> None:

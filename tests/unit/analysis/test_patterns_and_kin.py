@@ -18,9 +18,14 @@ from shift3d.analysis.html.sections.curves import thresholds
 from shift3d.analysis.html.sections.patterns import patterns
 from shift3d.analysis.html.sections.retrieval import kin_curves
 from shift3d.analysis.mlflow.sweep import follow_up_metrics
+from shift3d.analysis.results import with_effects_requested
 from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
 from shift3d.analysis.tables.retrieval import controls_of, kept, pool_table, pool_vehicle_of, retrieval_table
+from shift3d.analysis.tables.stability import stability_table
 from shift3d.errors import InputError
+from shift3d.sweep.planning.tasks import PlannedTask
+from shift3d.sweep.planning.tasks_builder import tasks_of
+from shift3d.task.spec import TaskSpec
 
 KNOWN = {"search": "descent", "lambda": 1.0, "alpha": 0.01, "detector": "pointpillars", "scored_by": "pointpillars"}
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
@@ -108,6 +113,29 @@ def test_what_was_searched_under_other_effects_or_accuracies_has_a_line_of_its_o
         ("fast", "0.700"),
     ]
     assert [dict(zip(table.header, line))["controls"] for line in table.lines] == ["-", "-"], "there are none"
+
+
+def test_kin_and_verified_solutions_of_two_settings_of_effects_have_a_line_for_each() -> None:
+    """A scene in which both settings simulate the same has one task, which counts in both lines."""
+    settings = [("none",), ("fog",), ("none", "fog")]
+    specs = [TaskSpec("suv", f"s{n}", "street", "shape", 1.0, 0.01, "pointpillars", "standard") for n in range(3)]
+    tasks = tasks_of(PlannedTask(spec, 0, requested) for spec, requested in zip(specs, settings))
+    ids = dict(zip(("none", "fog", "both"), tasks.ids.to_pylist()))
+    kin = [
+        retrieved(name, "retrieved", score) | {"task_id": ids[name]}
+        for name, score in (("none", 0.9), ("fog", 0.3), ("both", 0.6))
+    ]
+    table = retrieval_table(with_effects_requested(pd.DataFrame(kin), tasks))
+    assert table is not None
+    found = [(line[0].split(", ")[-1], dict(zip(table.header, line))["retrieved"]) for line in table.lines]
+    assert found == [("no effects", "0.750"), ("fog", "0.450")]
+
+    same = KNOWN | {"mode": "shape", "method": "adversarial", "accuracy": "standard", "score": 0.3, "robust": True}
+    rows = [same | {"task_id": ids[name], "stable": name != "fog"} for name in ids]
+    verified = pd.DataFrame(rows).assign(score_again=0.3, score_reference=0.3)
+    lines = stability_table(with_effects_requested(verified, tasks)).lines
+    found = [(line[0], f"{line[5]} of {line[4]}") for line in lines]
+    assert found == [("adversarial, no effects", "0 of 2"), ("adversarial, fog", "1 of 2")]
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 import valid_sweeps
 
@@ -252,8 +253,12 @@ def test_what_tasks_share_and_what_no_step_changed_is_one_object(sweep: Sweep) -
     searched = sweep.scores["method"] == "adversarial"
     again = sweep.scores.assign(task_id="again-" + sweep.scores["task_id"])
     lower = again.assign(score=again["score"].where(~searched, 0.9 * again["score"]))
+    ids = sweep.plan.tasks.ids.to_pylist()
+    twice = sweep.plan.tasks.select([*range(len(ids))] * 2)
+    twice = dataclasses.replace(twice, ids=pa.array([*ids, *(f"again-{task}" for task in ids)]))
+    plan = dataclasses.replace(sweep.plan, tasks=twice)
     one, same, two = (
-        rule_objects(dataclasses.replace(sweep, scores=scores))["method"].value_counts()
+        rule_objects(dataclasses.replace(sweep, plan=plan, scores=scores))["method"].value_counts()
         for scores in (sweep.scores, *(pd.concat([sweep.scores, more], ignore_index=True) for more in (again, lower)))
     )
     assert same.to_dict() == one.to_dict()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 from pathlib import Path
 
 import pytest
@@ -178,6 +179,15 @@ def test_a_folder_whose_driver_was_killed_after_its_spec_is_completed(out: Path,
         (out / name).unlink()
     open_folder(out, suv_plan)
     assert read_plan(out) == suv_plan and (out / "env.json").is_file()
+
+
+def test_a_folder_names_the_instructions_that_decide_the_rounding_of_its_driver(out: Path, suv_plan: Plan) -> None:
+    """Float32 logits of one scene differ between AVX2 and AVX-512 in their last digits."""
+    import torch
+
+    open_folder(out, suv_plan)
+    found = json.loads((out / "env.json").read_bytes())["instructions"]
+    assert found.startswith(torch.backends.cpu.get_cpu_capability()) and found.endswith(" bfloat16")
 
 
 def test_every_value_of_an_axis_is_checked_against_the_detector() -> None:

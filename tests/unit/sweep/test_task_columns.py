@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shift3d.errors import InputError
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.sweep.planning.tasks_builder import tasks_of
@@ -74,7 +75,15 @@ def test_a_task_that_is_asked_for_again_stands_once_at_its_first_place() -> None
     planned = [(first, "auto"), (second, "none"), (first, "none"), (second, "none"), (first, "auto")]
     tasks = tasks_of(PlannedTask(spec, index, (requested,)) for index, (spec, requested) in enumerate(planned))
     assert list(tasks) == [PlannedTask(first, 0, ("auto", "none")), PlannedTask(second, 1, ("none",))]
-    assert tasks.effects_requested_of([second.task_id, first.task_id, "no task"]) == [["none"], ["auto", "none"], []]
+    assert tasks.effects_requested_of([second.task_id, first.task_id]) == [["none"], ["auto", "none"]]
+
+
+def test_a_row_of_a_task_that_the_plan_lacks_is_refused(default_plan: Plan) -> None:
+    """The plan has one setting of effects: it is not the setting of a task of another sweep."""
+    known = default_plan.tasks.ids[0].as_py()
+    assert default_plan.tasks.effects_requested_of([known]) == [["auto"]]
+    with pytest.raises(InputError, match=r"^final: 1 row of tasks that the plan does not have\. Restore the folder"):
+        default_plan.tasks.effects_requested_of([known, "no task"])
 
 
 def test_it_is_a_sequence(default_plan: Plan) -> None:

@@ -60,7 +60,7 @@ def test_a_universal_search_over_kinds_puts_each_kind_into_every_scene(wide: Ass
     assert isinstance(placement, Placement) and vehicle.name != "sedan"
     problem = with_other_vehicle(moved, wide, build_problem(moved, wide, placement.theta), vehicle)
     code = torch.tensor(solution["latent_code"])
-    there = score_object(problem, code, on_ground(code, problem, SNAP_M), 5.0).answers["pointpillars"].adversarial_loss
+    there = score_object(problem, code, on_ground(code, problem, SNAP_M), 5.0).results["pointpillars"].adversarial_loss
     kept = found.trajectories[by_method(found, "adversarial")[0]["best_step"]]
     # The search rendered it partly in bfloat16, to a few thousandths.
     assert kept["loss"] == pytest.approx((kept["adversarial_loss"] + there) / 2, rel=0.02)

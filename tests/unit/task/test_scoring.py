@@ -1,5 +1,6 @@
 """Scores: from the scene without the object they equal those of the whole scene; none depends on another box."""
 
+from collections import OrderedDict
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +10,10 @@ from short_tasks import make_spec
 
 from shift3d.attack.baselines import noise_codes
 from shift3d.detectors.base import BevWindow, Proposals
-from shift3d.retrieval.crops import crop_vehicles
 from shift3d.scenes.scene import Labels
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets
-from shift3d.task.follow_ups import vehicle_pool
-from shift3d.task.follow_ups.vehicle_pool import overlap_score
+from shift3d.task.follow_ups.vehicle_pool import PoolAssets, overlap_score, pool_task, reconstructor_of
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import NoisyCopyScorer, score_box, score_object
 from shift3d.task.spec import PlacementSpec
@@ -75,13 +74,18 @@ def test_no_box_and_a_box_that_is_no_number_are_no_score() -> None:
         assert found.score == 0.0 and overlap_score(detector.found, OBJECT) == 0.0
 
 
-def test_a_vehicle_of_a_pool_beyond_the_detectors_grid_has_no_score(assets: Assets) -> None:
+def test_a_vehicle_of_a_pool_beyond_the_detectors_grid_is_refused_and_not_missed(assets: Assets) -> None:
+    """Both vehicles have points enough for a fit. The network has cells up to 74.88 m."""
     spec = make_spec()
-    scene, _ = assets.scene(spec)
-    far = OBJECT + np.array([80.0, 0, 0, 0, 0, 0, 0])
-    labels = Labels(far[None], ("vehicle",), np.zeros(1, np.int32))
-    there = replace(scene, labels=labels)
-    assert vehicle_pool._scores(spec, assets, there, crop_vehicles(there)) == {0: 0.0}
+    scene, beams = assets.scene(spec)
+    boxes = np.stack([OBJECT + np.array([dx, 0, scene.ground_z_m, 0, 0, 0, 0]) for dx in (50.0, 56.0)])
+    points = scene.points.copy()
+    there = np.random.default_rng(0).uniform(-0.3, 0.3, (2, 200, 3)) * OBJECT[3:6] + boxes[:, None, :3]
+    points[np.flatnonzero(scene.has_beam)[:400]] = there.reshape(-1, 3)
+    seen = replace(scene, points=points, labels=Labels(boxes, ("vehicle",) * 2, np.zeros(2, np.int32)))
+    held = replace(assets, _scenes=OrderedDict({spec.scene: (seen, beams, "")}))
+    found = pool_task(spec, PoolAssets(held, reconstructor_of(assets.vehicles))).vehicle_pool
+    assert [row["status"] for row in found] == ["fitted", "beyond_grid"]
 
 
 def test_a_box_centred_beyond_the_radius_still_suppresses() -> None:
@@ -101,7 +105,7 @@ def test_scored_nearby_is_scored_afresh_for_less(assets: Assets) -> None:
 
     def answer(code: torch.Tensor, nearby: NoisyCopyScorer | None) -> tuple[float, float, int]:
         found = score_object(problem, code, problem.theta0, 5.0, nearby=nearby)
-        one = found.answers["pointpillars"]
+        one = found.results["pointpillars"]
         return one.score, one.adversarial_loss, found.measurement.rendering.evaluations
 
     def start() -> NoisyCopyScorer:

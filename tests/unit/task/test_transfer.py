@@ -35,10 +35,10 @@ def test_baseline_and_shape_are_scored_at_one_place_of_the_other_scene(moved: Ta
     theta = torch.tensor(pose, dtype=torch.float64)
     problem = build_problem(there, assets, theta)
     code = torch.tensor(solution(moved, "adversarial")["latent_code"])
-    assert score_object(problem, problem.code0, theta, 5.0).answers["pointpillars"].score == row["score_baseline"]
+    assert score_object(problem, problem.code0, theta, 5.0).results["pointpillars"].score == row["score_baseline"]
     stands = on_ground(code, problem, SNAP_M)
     assert torch.equal(stands[[0, 1, 3, 4, 5]], theta[[0, 1, 3, 4, 5]]) and float(stands[2]) == row["z_shape_m"]
-    assert score_object(problem, code, stands, 5.0).answers["pointpillars"].score == row["score"]
+    assert score_object(problem, code, stands, 5.0).results["pointpillars"].score == row["score"]
 
 
 def test_the_unchanged_shape_changes_no_score_anywhere(assets: Assets) -> None:
@@ -92,7 +92,7 @@ def test_a_scene_that_was_searched_in_judges_nothing(assets: Assets) -> None:
     placement = place_vehicle(there, assets)
     assert isinstance(placement, Placement)
     problem = build_problem(there, assets, placement.theta)
-    alone = score_object(problem, problem.code0, placement.theta, 5.0).answers["pointpillars"].adversarial_loss
+    alone = score_object(problem, problem.code0, placement.theta, 5.0).results["pointpillars"].adversarial_loss
     first = found.trajectories[0]
     # Scored again at its place; the search rendered it partly in bfloat16, to a few thousandths.
     assert first["loss"] == pytest.approx((first["adversarial_loss"] + alone) / 2, rel=0.02)

@@ -107,7 +107,8 @@ def _versions(sweep: Sweep) -> Collapsible:
     env = sweep.environment
     lines = [["shift3d", str(env.get("shift3d", "-"))], ["Python", str(env.get("python", "-"))]]
     lines += [[str(name), str(version)] for name, version in sorted(env.get("libraries", {}).items())]
-    machine = f"Processor {env.get('machine', '-')}, {env.get('cpus', '-')} cores."
+    processor = f"{env.get('machine', '-')}, {env.get('instructions', 'unknown instructions')}"
+    machine = f"Processor of the driver: {processor}, {env.get('cpus', '-')} cores."
     weights = sorted({pair for assets in sweep.plan.assets for pair in assets.hashes.items()})
     tables = [
         Table("Versions", ["component", "version"], lines),

@@ -30,11 +30,13 @@ examples:
 
 The settings are those of sweeps/retrieval.yaml: the pool's scenes, the decoder (vehicle=), the detector that scores the
 pool's vehicles where the scenes have them, the runner. The same settings use the same pool again. pool=DIR names the
-pool's folder. The command refuses vehicles with fewer than 10 points. It flags vehicles seen from one side only,
-vehicles that do not fit their box, and shapes without a surface; it never retrieves a flagged vehicle."""
+pool's folder. The command refuses vehicles with fewer than 10 points and vehicles beyond the detector's grid. It flags
+vehicles seen from one side only, vehicles that do not fit their box, and shapes without a surface; it never retrieves a
+flagged vehicle."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.results import with_effects_requested
     from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
     from shift3d.processor import configure_runtime
     from shift3d.settings.catalogue.reading import read_catalogue
@@ -65,7 +67,7 @@ def _run(arguments: argparse.Namespace) -> int:
     scored = retrieve(folder, pool, config.runner)
     if scored.final is None:
         return interrupted(scored)
-    table = retrieval_table(scored.final.frame("retrieved"))
+    table = retrieval_table(with_effects_requested(scored.final.frame("retrieved"), sweep.tasks))
     print(f"\n{table if table else 'no adversarial shape has a score: nothing to retrieve'}\n")
     print(f"{folder / 'final' / 'retrieved.parquet'} written in {fitted.seconds + scored.seconds:.0f} s")
     print(f"pictures and curves: shift3d report {folder}; the sweep's command copies the scores to MLflow")

@@ -30,6 +30,7 @@ A solution takes about as long as twenty steps of its attack; the reference rend
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.html.pages import write_stability_page
+    from shift3d.analysis.results import with_effects_requested
     from shift3d.analysis.tables.accuracy.cost import diagnostics
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.processor import configure_runtime
@@ -44,7 +45,8 @@ def _run(arguments: argparse.Namespace) -> int:
     result = verify_sweep(folder, plan, runner)
     if result.final is None:
         return interrupted(result, "verified")
-    scores, verification = result.final.frame("scores"), result.final.frame("verification")
+    scores = result.final.frame("scores")
+    verification = with_effects_requested(result.final.frame("verification"), plan.tasks)
     print(f"\n{stability_lines(verification)}\n\n{diagnostics(scores)}\n")
     page = write_stability_page(folder / "final" / "stability.html", plan.sweep, scores, verification)
     print(f"{page} written in {result.seconds:.0f} s; the sweep's command copies it to MLflow")
