@@ -226,3 +226,10 @@ def test_another_build_is_another_version_and_a_source_tree_is_compared_with_non
     here = {"shift3d": "1", "code": "abcd"}
     assert version_mismatch(here, here) is None and version_mismatch({**here, "code": ""}, here) is None
     assert "another build of shift3d: 1234, not abcd" in str(version_mismatch({**here, "code": "1234"}, here))
+
+
+def test_onnx_runtimes_are_compared_where_both_machines_have_one() -> None:
+    here = {"torch": "2", "onnxruntime": "1.27.0"}
+    assert "has onnxruntime 1.20.0, not 1.27.0" in str(version_mismatch({**here, "onnxruntime": "1.20.0"}, here))
+    without = {**here, "onnxruntime": "absent"}
+    assert version_mismatch(without, here) is None and version_mismatch(here, without) is None

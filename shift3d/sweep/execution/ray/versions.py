@@ -14,8 +14,11 @@ import shift3d
 from shift3d.errors import InputError
 from shift3d.sweep.planning.folder import library_versions
 
-_LIBRARIES = ("torch", "numpy", "scipy", "trimesh", "embreex")
+_LIBRARIES = ("torch", "numpy", "scipy", "trimesh", "embreex", "onnxruntime")
 _NAMES = {"code": "another build of shift3d:"}
+_OPTIONAL = {"code": "", "onnxruntime": "absent"}
+"""Parts that a machine may lack, with their version there. ONNX Runtime scores ONNX files; loading one without it is an
+error of its own."""
 
 
 def installed_versions() -> Mapping[str, str]:
@@ -41,7 +44,7 @@ def version_mismatch(there: Mapping[str, str], here: Mapping[str, str]) -> Input
     found = [
         f"{_NAMES.get(name, name)} {there.get(name)}, not {value}"
         for name, value in here.items()
-        if there.get(name) != value and (name != "code" or (value and there.get(name)))
+        if there.get(name) != value and not (name in _OPTIONAL and _OPTIONAL[name] in (value, there.get(name)))
     ]
     if not found:
         return None
