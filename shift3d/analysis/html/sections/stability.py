@@ -16,7 +16,7 @@ from shift3d.wording import counted
 def accuracy(sweep: Sweep) -> list[Block]:
     """Build the section of accuracy: audit of the sweep's objects, and the presets as a frontier measured them."""
     audited = Items([*accuracy_cost(sweep.scores, sweep.timings), diagnostics(sweep.scores)])
-    lead = Paragraph("The audit renders beams of each object again at reference accuracy.")
+    lead = Paragraph("The audit renders beams of each baseline and each solution again at reference accuracy.")
     explained = Collapsible("What the columns mean", [Terms(preset_meanings())])
     return [lead, audited, preset_table(), explained]
 
