@@ -21,6 +21,8 @@ from shift3d.analysis.html.sections.cases import _left_out, what_changed
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.overview import coverage, overview
+from shift3d.analysis.html.sections.patterns import patterns
+from shift3d.analysis.html.sections.retrieval import retrieval
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.html.sections.summary import headline
 from shift3d.analysis.results import Sweep, read_sweep
@@ -188,6 +190,22 @@ def test_what_is_unstable_is_counted_and_named(finished: Path) -> None:
     shown = blocks_html(stability(dataclasses.replace(sweep, verification=pd.DataFrame(rows))))
     assert "<td>4</td><td>1</td><td>75.0%</td><td>2.5e-01</td><td>100%</td><td>50%</td>" in shown
     assert shown.count("of &lt;300&gt; hits 9 missed") == 1 and "task0" in shown
+
+
+def test_a_section_names_no_command_that_refuses_the_sweep(finished: Path) -> None:
+    sweep = read_sweep(finished)
+    empty, posed = sweep.solutions.iloc[:0], sweep.solutions.assign(mode="pose")
+    made = {
+        "verify": stability,
+        "patterns": patterns,
+        "retrieve": lambda found: retrieval(found, PageCache(found.plan)),
+    }
+    for command, section in made.items():
+        assert f"shift3d {command}" in blocks_html(section(sweep))
+        nothing = dataclasses.replace(sweep, solutions=empty, scores=sweep.scores.assign(score=np.nan))
+        shown = blocks_html(section(nothing))
+        assert "shift3d" not in shown and "No task" in shown
+    assert "shift3d" not in blocks_html(made["retrieve"](dataclasses.replace(sweep, solutions=posed)))
 
 
 def test_the_page_names_the_detection_radius_of_the_sweep(finished: Path) -> None:

@@ -29,6 +29,8 @@ _ALT = (
 
 def stability(sweep: Sweep) -> list[Block]:
     """Build the section of stability, or one line if nothing was verified."""
+    if sweep.solutions.empty:
+        return [missing("No task has a solution.")]
     if sweep.verification is None or sweep.verification.empty:
         return [missing("Not verified. Run shift3d verify OUT to score every solution again at reference accuracy.")]
     return stability_blocks(sweep.verification, shown=20)
