@@ -77,20 +77,20 @@ def measure_frontier(
 
     Args:
         folder: output folder. ``measured/`` holds a truth and a journal per case, named by a hash of all dependencies.
-        again: delete earlier measurements, but not the truths.
+        again: delete earlier measurements of all cases before the first new one, but not the truths. A later call
+            without it resumes.
 
     Raises: InputError: missing assets or a case without a place, before any measurement; a full disk.
     """
     held = [(group, load_assets(group.assets)) for group in groups]
     cases = [(group, assets, case) for group, assets in held for case in _cases(group, plan, assets)]
+    places = [folder / "measured" / _folder_name(case, plan, assets, group) for group, assets, case in cases]
+    for here in places if again else ():
+        (here / "journal.jsonl").unlink(missing_ok=True)
     measured = []
-    for group, assets, case in cases:
-        name = re.sub(r"[^\w.-]+", "-", case.name)
-        here = folder / "measured" / f"{name}-{_identity(case, plan, assets, group)}"
+    for (group, assets, case), here in zip(cases, places, strict=True):
         truth = _truth(here / "truth.npz", case, plan, assets, tell)
         journal = Journal(here / "journal.jsonl")
-        if again:
-            journal.forget()
         instrument = CaseMeasurer(case, assets, truth, plan.reference, plan.warm_steps, plan.repeats.slow_s)
 
         def report(name: str, seconds: float, known: bool, where: str = case.name) -> None:
@@ -118,12 +118,13 @@ def _truth(path: Path, case: Case, plan: FrontierPlan, assets: Assets, tell: Pro
     return read_truth(path)
 
 
-def _identity(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup) -> str:
-    """Hash everything that measurements of a case depend on, except the settings, which the journal's names include."""
+def _folder_name(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup) -> str:
+    """Name a case's folder by all inputs of its measurements, except the settings: the journal's names include them."""
     files, modules, layouts = group.assets.detectors, group.assets.modules, group.assets.layouts
     detectors = {name: detector_hash(name, path, modules.get(name), layouts.get(name)) for name, path in files.items()}
     vehicle = vehicle_hash(assets.vehicle(case.spec))
     options = [plan.reference.step_key, plan.search.step_key, plan.descent_steps, plan.warm_steps]
     parts = [case.spec.canonical_json(), case.theta.tolist(), vehicle, assets.vehicles.decoder_hash(), detectors]
     text = json.dumps([*parts, options, plan.repeats.slow_s, machine(), source_digest(*_CODE), torch.__version__])
-    return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
+    name = re.sub(r"[^\w.-]+", "-", case.name)
+    return f"{name}-{hashlib.blake2b(text.encode(), digest_size=6).hexdigest()}"

@@ -43,8 +43,3 @@ class Journal:
             os.fsync(file.fileno())
         # The parsed line, so that a resumed run equals an uninterrupted one.
         self._values[name] = json.loads(line)[1]
-
-    def forget(self) -> None:
-        """Delete all values and the file."""
-        self._path.unlink(missing_ok=True)
-        self._values.clear()

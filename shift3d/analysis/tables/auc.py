@@ -53,8 +53,13 @@ def natural_search(scores: pd.DataFrame) -> str | None:
     rows = scores[scores["task_id"].isin(left) & ~scores["search"].str.contains("_within")]
     if rows.empty:
         return None
-    frames = ' ARGS="scenes=kitti scenes.root=PATH"' if rows["dataset"].eq("kitti").all() else ""
-    return f"Hard shapes that stay vehicles: make sweep SWEEP=natural{frames}"
+    return f"Hard shapes that stay vehicles: make sweep SWEEP=natural{scenes_argument(set(rows['dataset']))}"
+
+
+def scenes_argument(datasets: set[str]) -> str:
+    """Return the argument of ``make sweep`` that selects a recorded data set; empty for streets or several sets."""
+    (name, *others) = datasets
+    return "" if others or name.startswith("street") else f' ARGS="scenes={name} scenes.root=PATH"'
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:

@@ -18,6 +18,11 @@ from shift3d.task.spec import label_words, split_label
 ANY_SHAPE = math.inf  # Budget of a search without a limit; percentile 100 still bounds sizes.
 
 
+def budget_text(budget: float) -> str:
+    """Format a budget: "95", or "any shape"."""
+    return "any shape" if budget == ANY_SHAPE else f"{budget:g}"
+
+
 @dataclass(frozen=True)
 class BudgetCurve:
     """One search against one detector under several budgets. variants: by percentile limit of the shapes, ascending."""
@@ -52,12 +57,11 @@ def budget_table(found: Sequence[Variant]) -> Table | None:
     lines = []
     for curve in budget_curves(found):
         for budget, variant in curve.variants.items():
-            shown = "any shape" if budget == ANY_SHAPE else f"{budget:g}"
             ratios = [interval_text(curve.ratio(budget, method), 2, "") for method in ("random_budget", "adversarial")]
             gain = paired(variant.rows, "adversarial", "random_budget")
             difference = interval_text(None if gain is None else gain.interval, 3)
             means = [number(variant.aucs.mean(name, variant.vehicles)) for name in ("baseline", "adversarial")]
-            lines.append([f"{curve.title}, {shown}", *_shapes(variant.rows), *means, *ratios, difference])
+            lines.append([f"{curve.title}, {budget_text(budget)}", *_shapes(variant.rows), *means, *ratios, difference])
     header = ["search, percentile", "natural", "cm", "baseline", "adversarial", "of baseline, random draws",
               "of baseline", "less random draws"]  # fmt: skip
     title = "AUC by naturalness budget; cm: median distance to the nearest known vehicle"

@@ -16,7 +16,7 @@ import pandas as pd
 
 from shift3d.analysis.results import PLACE, places_of, with_places
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
-from shift3d.analysis.tables.table import Table, interval_text
+from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
@@ -38,7 +38,7 @@ MEANINGS = {
 @dataclass(frozen=True)
 class EffectImpact:
     """Impact of one effect against no effect, over the same objects. score_change: mean |change| of the baseline's
-    score. auc_baseline, auc_adversarial: change of the mean score. milliseconds: extra time of a rendering."""
+    score. auc_baseline, auc_adversarial: change of the mean score. milliseconds: extra time of a rendering, or NaN."""
 
     effect: str
     scenes: int
@@ -128,7 +128,7 @@ def effect_table(impacts: Sequence[EffectImpact]) -> Table:
             interval_text(impact.score_change, 3, ""),
             interval_text(impact.auc_baseline, 3),
             interval_text(impact.auc_adversarial, 3),
-            f"{impact.milliseconds:.0f}",
+            number(impact.milliseconds, 0),
             "yes" if impact.measured.matters else "left out",
         ]
         for impact in impacts

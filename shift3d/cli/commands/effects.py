@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
@@ -66,10 +67,10 @@ def _run(arguments: argparse.Namespace) -> int:
     scores, timings = (read_final(folder, name).to_pandas() for name in ("scores", "timings"))
     milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)
     impacts = effect_impacts(scores, milliseconds)
-    lacking = [impact.effect for impact in impacts if impact.effect not in milliseconds]
-    if arguments.times and lacking:
-        what = f"has no time of {', '.join(lacking)}, which the sweep ran"
-        raise InputError(what, str(arguments.times), 'Measure every effect: make bench ARGS="-k effects"')
+    lacking = [impact.effect for impact in impacts if math.isnan(impact.milliseconds)]
+    if lacking and (arguments.times or arguments.adopt):
+        what, where = f"has no time of {', '.join(lacking)}, which the sweep ran", arguments.times or folder
+        raise InputError(what, str(where), 'Measure every effect: make bench ARGS="-k effects"; give --times FILE')
     print(f"{effect_table(impacts)}\n")
     print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, impacts)} written")
     if arguments.adopt:

@@ -35,8 +35,8 @@ errors, errors of gradient and final score against the preset `reference`, and m
 report.html, frontier.png and advice.txt to outputs/frontier/ or out=DIR, and prints the table and the advice.
 
 The published method takes up to two minutes per rendering, the whole run at most 15 minutes on two idle cores.
-The same command resumes: it skips what the same code measured on the same machine. The command uses one thread and
-measures the times of its own process: run nothing else on the machine."""
+The same command, without --again, resumes: it skips what the same code measured on the same machine. The command uses
+one thread and measures the times of its own process: run nothing else on the machine."""
 
 _EPILOG = """\
 examples:
@@ -74,7 +74,8 @@ def _run(arguments: argparse.Namespace) -> int:
     try:
         _measure(config, plan, folder, arguments.again)
     except KeyboardInterrupt:
-        print("interrupted: the same command resumes", file=sys.stderr)
+        without = " without --again" if arguments.again else ""
+        print(f"interrupted: the same command{without} resumes", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not part:
         from shift3d.analysis.mlflow.measurement_runs import mirror_frontier

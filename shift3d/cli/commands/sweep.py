@@ -93,7 +93,9 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     words = [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)]
     if words[:1] == ["plan"] or arguments.dry_run:
         if arguments.task or arguments.retry_quarantined:
-            raise InputError("--task and --retry-quarantined run tasks, a plan runs none", remedy="Leave plan out")
+            raise InputError(
+                "--task and --retry-quarantined run tasks, a plan runs none", remedy="Leave plan or --dry-run out"
+            )
         return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks, arguments.places)
     if arguments.tasks or arguments.places:
         raise InputError("--tasks and --places belong to a plan", remedy="Ask for one: shift3d sweep plan NAME --tasks")

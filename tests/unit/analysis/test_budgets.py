@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 
 import pytest
 from analysed import blocks_html, variant
 
+from shift3d.analysis.html.blocks import Plot
 from shift3d.analysis.html.figure import bars
 from shift3d.analysis.html.sections.budgets import budgets
 from shift3d.analysis.mlflow.sweep_groups import budget_points
@@ -60,6 +62,14 @@ def test_the_table_compares_with_random_draws_of_the_same_tasks() -> None:
     assert "0.90 [0.90, 0.90]" in line and "0.60 [0.60, 0.60]" in line
     assert f"{-0.3 * sum(BASE) / 4:.3f}" in line  # 0.3 of the baseline lower than the draws
     assert budget_table(TRIED[3:]) is None and budget_table([]) is None
+
+
+def test_the_page_orders_budgets_though_a_search_lacks_one() -> None:
+    """Under a budget that its vehicles exceed unchanged, a search has no scores."""
+    other = [searched("expectation_pca3", 0.5), searched("expectation_pca3_within95", 0.6)]
+    _, plot, _ = budgets([*other, *TRIED])
+    assert isinstance(plot, Plot)
+    assert json.loads(plot.data)["layout"]["xaxis"]["categoryarray"] == ["50", "95", "any shape"]
 
 
 def test_other_settings_are_other_curves() -> None:

@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import valid_sweeps
 
 from shift3d.analysis.html.pages import write_effects_page
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds, effect_table, write_impact
+from shift3d.cli.main import main
 from shift3d.errors import InputError
+from shift3d.store.tables import table_from_rows, write_table
 
 SCENES = [f"street-{number}" for number in range(12)]
 
@@ -117,6 +120,28 @@ def test_page_and_what_auto_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     finally:
         applicability.measured_impact.cache_clear()
     assert json.loads((tmp_path / "impact.json").read_text())["effects"]["fog"]["objects"] == 12
+
+
+def test_an_effect_without_a_time_is_shown_and_never_adopted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sweep that took its tasks over with reuse= lacks the time of a baseline that another task rendered."""
+    from shift3d.effects import applicability
+
+    scores, timings = tables({"fog": np.full(12, 0.2)}, {"fog": 20.0})
+    given = {"scores": scores, "timings": timings[timings["task_id"].str.startswith("fog")].assign(calls=1)}
+    valid_sweeps.write_sweep(tmp_path / "sweep")
+    for name, frame in given.items():
+        row = valid_sweeps.rows(name, valid_sweeps.plan().tasks[0])[0]
+        table = table_from_rows(name, [row | own for own in frame.to_dict("records")])
+        write_table(tmp_path / "sweep" / "final" / f"{name}.parquet", table)
+    adopted = tmp_path / "impact.json"
+    monkeypatch.setattr(applicability, "MEASURED_IMPACT", adopted)
+    assert main(["effects", str(tmp_path / "sweep")]) == 0
+    line, page = capsys.readouterr().out.splitlines()[3], (tmp_path / "sweep" / "final" / "effects.html").read_text()
+    assert line.split()[-2:] == ["-", "yes"] and "fog: 0.200 for - ms" in page
+    assert main(["effects", str(tmp_path / "sweep"), "--adopt"]) == 2 and not adopted.exists()
+    assert "has no time of fog" in capsys.readouterr().err
 
 
 def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:

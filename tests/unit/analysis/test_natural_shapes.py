@@ -110,6 +110,8 @@ def test_a_sweep_of_unnatural_shapes_names_the_one_that_finds_natural_ones() -> 
     assert natural_search(scores) == "Hard shapes that stay vehicles: make sweep SWEEP=natural"
     frames = natural_search(scores.assign(dataset="kitti"))
     assert frames is not None and frames.endswith('SWEEP=natural ARGS="scenes=kitti scenes.root=PATH"')
+    logs = natural_search(scores.assign(dataset="argoverse2"))
+    assert logs is not None and logs.endswith('SWEEP=natural ARGS="scenes=argoverse2 scenes.root=PATH"')
     assert natural_search(scores.assign(natural=True)) is None
     assert natural_search(scores.assign(natural=None)) is None, "not measured"
     assert natural_search(scores.assign(search="expectation_family_within95")) is None, "no command does better"

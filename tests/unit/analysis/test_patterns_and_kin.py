@@ -64,7 +64,7 @@ def test_a_change_that_all_share_is_a_point_and_clear() -> None:
 def test_a_figure_of_changes_shows_where_none_is() -> None:
     """A change of 20 cm back and 10 cm to the right could, without 0 on the axis, pass for a move ahead."""
     moved = poses({"x_m": -0.2, "y_m": -0.1}, 0.0)
-    sweep = types.SimpleNamespace(patterns=measured([0.0]).iloc[:0], scores=moved)
+    sweep = types.SimpleNamespace(patterns=measured([0.0]).iloc[:0], scores=moved, solutions=moved)
     html = blocks_html(patterns(sweep))  # type: ignore[arg-type]
     assert "Mean change in centimetres" in html and '"rangemode":"tozero"' in html.replace(" ", "")
 

@@ -10,16 +10,19 @@ import numpy as np
 import pandas as pd
 import pytest
 import trimesh
+import valid_sweeps
 from analysed import blocks_html, two_vehicles, variant
 
 from shift3d.analysis.cases.rendered import PageCache, Rendered
 from shift3d.analysis.cases.selection import Case, hardest, random_positions
-from shift3d.analysis.html.sections.auc import auc_blocks, differences
+from shift3d.analysis.html.sections.auc import auc, auc_blocks, differences
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
 from shift3d.analysis.html.sections.cases import _left_out, what_changed
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.gallery import gallery
-from shift3d.analysis.html.sections.overview import coverage
+from shift3d.analysis.html.sections.overview import coverage, overview
+from shift3d.analysis.html.sections.patterns import patterns
+from shift3d.analysis.html.sections.retrieval import retrieval
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.html.sections.summary import headline
 from shift3d.analysis.results import Sweep, read_sweep
@@ -27,14 +30,16 @@ from shift3d.analysis.statistics.paired import paired
 from shift3d.analysis.tables.auc import auc_table
 from shift3d.analysis.tables.coverage import coverage_lines
 from shift3d.analysis.variants import variants
+from shift3d.settings.compose import compose_sweep
+from shift3d.sweep.planning.plan import make_plan
 
 
 def test_areas_are_the_mean_scores_with_the_papers_beside_them() -> None:
     scores = {("baseline", "coupe"): [0.9, 0.7], ("baseline", "suv"): [0.6, 0.8]}
     scores |= {("adversarial", "coupe"): [0.2, 0.4], ("adversarial", "suv"): [0.5, 0.4]}
     shown = blocks_html(auc_blocks(variant(scores)))
-    for auc in ("0.800", "0.700", "0.750", "0.300", "0.450", "0.375"):
-        assert f"<td>{auc}<small>" in shown
+    for area in ("0.800", "0.700", "0.750", "0.300", "0.450", "0.375"):
+        assert f"<td>{area}<small>" in shown
     assert "<small>2 scenes</small>" in shown and "<td>0.50<small>[" in shown and "tab:auc_z" in shown
     for paper in ("0.755", "0.466", "0.469", "0.716", "0.728"):
         assert f"<td>{paper}</td>" in shown
@@ -185,6 +190,29 @@ def test_what_is_unstable_is_counted_and_named(finished: Path) -> None:
     shown = blocks_html(stability(dataclasses.replace(sweep, verification=pd.DataFrame(rows))))
     assert "<td>4</td><td>1</td><td>75.0%</td><td>2.5e-01</td><td>100%</td><td>50%</td>" in shown
     assert shown.count("of &lt;300&gt; hits 9 missed") == 1 and "task0" in shown
+
+
+def test_a_section_names_no_command_that_refuses_the_sweep(finished: Path) -> None:
+    sweep = read_sweep(finished)
+    empty, posed = sweep.solutions.iloc[:0], sweep.solutions.assign(mode="pose")
+    made = {
+        "verify": stability,
+        "patterns": patterns,
+        "retrieve": lambda found: retrieval(found, PageCache(found.plan)),
+    }
+    for command, section in made.items():
+        assert f"shift3d {command}" in blocks_html(section(sweep))
+        nothing = dataclasses.replace(sweep, solutions=empty, scores=sweep.scores.assign(score=np.nan))
+        shown = blocks_html(section(nothing))
+        assert "shift3d" not in shown and "No task" in shown
+    assert "shift3d" not in blocks_html(made["retrieve"](dataclasses.replace(sweep, solutions=posed)))
+
+
+def test_the_page_names_the_detection_radius_of_the_sweep(finished: Path) -> None:
+    near = compose_sweep("smoke", ["vehicle=suv", "mode=shape", "attack.detection_radius_m=2"])
+    sweep = dataclasses.replace(read_sweep(finished), plan=make_plan(near, valid_sweeps.catalogue)[0])
+    assert "detection_radius_m 2.0" in blocks_html(overview(sweep))
+    assert "attack.detection_radius_m (5 m by default)" in blocks_html(auc(sweep, [two_vehicles()]))
 
 
 def test_failures_are_counted_and_named(finished: Path) -> None:

@@ -32,7 +32,7 @@ def sensors(sweep: Sweep) -> list[Block]:
 _SHOWN = 4  # number of variants whose tables are not folded
 _MEANINGS = {
     "AUC": "area under recall(t) = P(score > t) for t from 0 to 1; exactly equal to the mean score of the best box "
-    "within 5 m of the inserted vehicle (0 without such a box)",
+    "within attack.detection_radius_m (5 m by default) of the inserted vehicle (0 without such a box)",
     "interval": "95 %, BCa bootstrap over whole scenes; too narrow with fewer than about 20 scenes",
     "mean": "mean of the vehicles' AUCs; in the paper's rows, shift3d computes it over the vehicles shown",
     "of baseline": "mean divided by the baseline's mean; interval: 95 %, both resampled by the same scenes",

@@ -99,7 +99,10 @@ def _heat(cells: pd.DataFrame, size: float, reach: float) -> list[dict[str, Any]
         **{"text": texts.tolist(), "texttemplate": "%{text}", "hoverongaps": False},
         # Fixed ends make grids of different sweeps comparable by eye.
         **{"zmin": -1, "zmax": 1, "colorscale": [[0, "#2166ac"], [0.5, "#e8e8e8"], [1, "#b2182b"]]},
-        "colorbar": {"orientation": "h", "thickness": 12, "y": -0.16, "yanchor": "top"},
+        "colorbar": {
+            **{"orientation": "h", "thickness": 12, "y": -0.16, "yanchor": "top"},
+            "title": {"text": "mean score reduction", "side": "bottom"},
+        },
         "hovertemplate": "x %{x:.0f} m, y %{y:.0f} m: %{z:+.3f}<extra></extra>",
     }
     empty_y, empty_x = np.nonzero(np.isnan(values))

@@ -7,7 +7,7 @@ from typing import Any
 
 from shift3d.analysis.html.blocks import Block, Paragraph
 from shift3d.analysis.html.figure import DASHES, LEGEND_BELOW, axis, bars, plot, short
-from shift3d.analysis.tables.budgets import ANY_SHAPE, BudgetCurve, budget_curves, budget_table
+from shift3d.analysis.tables.budgets import BudgetCurve, budget_curves, budget_table, budget_text
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 
@@ -26,8 +26,9 @@ def budgets(found: Sequence[Variant]) -> list[Block]:
     if table is None:
         return []
     traces = [trace for number, curve in enumerate(curves) for trace in _traces(curve, _MARKED[number % len(_MARKED)])]
+    known = [budget_text(budget) for budget in sorted({budget for curve in curves for budget in curve.variants})]
     layout: dict[str, Any] = {
-        "xaxis": axis("percentile of the reference set", type="category"),
+        "xaxis": axis("percentile of the reference set", type="category", categoryarray=known),
         "yaxis": axis("AUC / AUC of the baseline", rangemode="tozero"),
         "legend": LEGEND_BELOW,
     }
@@ -43,7 +44,7 @@ def _traces(curve: BudgetCurve, colour: str) -> list[dict[str, Any]]:
         if not known:
             continue
         name = f"{curve.title}: {METHODS[method]}"
-        x = ["any shape" if budget == ANY_SHAPE else f"{budget:g}" for budget in known]
+        x = [budget_text(budget) for budget in known]
         y = short([found.mean for found in known.values()])
         traces.append(
             {"type": "scatter", "mode": "lines+markers", "x": x, "y": y, "error_y": bars(list(known.values())),

@@ -19,7 +19,8 @@ from shift3d.wording import counted
 
 _LEAD = (
     "Share of the inserted vehicles that the detector finds with a score above the threshold, exact at every 0.005. "
-    "Bands: 95 %, pointwise, scenes resampled. Point at a curve to read its values; click a name to hide its curve."
+    "Bands: 95 %, pointwise, scenes resampled. Point at a curve to read its values; click a name to hide its curve. "
+    "The figure of all vehicles counts each task once; the mean in the table of AUCs counts each vehicle once."
 )
 
 

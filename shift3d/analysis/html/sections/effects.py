@@ -9,6 +9,7 @@ from shift3d.analysis.figures.sweep import effects_figure
 from shift3d.analysis.html.blocks import Block, Collapsible, Paragraph, Picture, Terms, missing
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.effects import MEANINGS, EffectImpact, effect_impacts, effect_milliseconds, effect_table
+from shift3d.analysis.tables.table import number
 from shift3d.errors import InputError
 
 
@@ -23,7 +24,8 @@ def effects(sweep: Sweep) -> list[Block]:
 
 def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
     """Build figure, table and meanings of the columns."""
-    alt = "; ".join(f"{each.effect}: {each.score_change.mean:.3f} for {each.milliseconds:.0f} ms" for each in impacts)
+    each = [(impact.effect, impact.score_change.mean, number(impact.milliseconds, 0)) for impact in impacts]
+    alt = "; ".join(f"{effect}: {change:.3f} for {spent} ms" for effect, change, spent in each)
     return [
         Paragraph("The same vehicles at the same places, rendered without effects and with one effect at a time."),
         Picture(

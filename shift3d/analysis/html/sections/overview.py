@@ -44,7 +44,10 @@ def coverage(sweep: Sweep) -> list[Block]:
     return [Paragraph(lead), Items(lines), rows]
 
 
-_SETTINGS = ("steps", "alpha", "lambda", "random_replicates", "noise_replicates", "noise_sigma", "max_shift_m")
+_SETTINGS = (
+    *("steps", "alpha", "lambda", "random_replicates", "noise_replicates", "noise_sigma", "max_shift_m"),
+    "detection_radius_m",
+)
 
 
 def overview(sweep: Sweep) -> list[Block]:

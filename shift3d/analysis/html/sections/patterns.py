@@ -48,7 +48,7 @@ def patterns(sweep: Sweep) -> list[Block]:
     for number, (label, found) in enumerate(pattern_groups(sweep.patterns, sweep.scores)):
         table = patterns_table(f"Changes: {label}", found)
         parts.append((f"Changes: {label}", [table, *_figures(f"patterns-{number}", label, found)]))
-    unmeasured = sweep.patterns.empty and (sweep.scores["mode"] != "pose").any()
+    unmeasured = sweep.patterns.empty and (sweep.solutions["mode"] != "pose").any()
     lacking: list[Block] = [missing(_UNMEASURED)] if unmeasured else []
     if not parts:
         return lacking or [missing("No task has a solution.")]

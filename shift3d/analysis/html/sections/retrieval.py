@@ -36,6 +36,8 @@ _CURVES = {
 
 def retrieval(sweep: Sweep, loaded: PageCache) -> list[Block]:
     """Build the section; if no vehicles were retrieved, show the command to run."""
+    if sweep.retrieved.empty and not sweep.solutions["mode"].ne("pose").any():
+        return [missing("No task found a shape.")]
     if sweep.retrieved.empty:
         nothing = missing("No search for natural vehicles similar to these shapes has run.")
         return [nothing, Command("Run the search; each vehicle of the set takes some seconds:", "shift3d retrieve OUT")]

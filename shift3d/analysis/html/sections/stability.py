@@ -16,7 +16,7 @@ from shift3d.wording import counted
 def accuracy(sweep: Sweep) -> list[Block]:
     """Build the section of accuracy: audit of the sweep's objects, and the presets as a frontier measured them."""
     audited = Items([*accuracy_cost(sweep.scores, sweep.timings), diagnostics(sweep.scores)])
-    lead = Paragraph("The audit renders beams of each object again at reference accuracy.")
+    lead = Paragraph("The audit renders beams of each baseline and each solution again at reference accuracy.")
     explained = Collapsible("What the columns mean", [Terms(preset_meanings())])
     return [lead, audited, preset_table(), explained]
 
@@ -29,6 +29,8 @@ _ALT = (
 
 def stability(sweep: Sweep) -> list[Block]:
     """Build the section of stability, or one line if nothing was verified."""
+    if sweep.solutions.empty:
+        return [missing("No task has a solution.")]
     if sweep.verification is None or sweep.verification.empty:
         return [missing("Not verified. Run shift3d verify OUT to score every solution again at reference accuracy.")]
     return stability_blocks(sweep.verification, shown=20)
