@@ -43,11 +43,12 @@ def read_lines(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> list
 
 @contextlib.contextmanager
 def opened(file: Location, kind: str, *bad: type[Exception]) -> Iterator[Any]:
-    """Open a binary file. kind: name of the file's kind, for errors. bad: exceptions beside OSError that mean damage.
+    """Open a binary file. kind: name of the file's kind, for errors. bad: exceptions that mean damage, beside OSError
+    and UnicodeDecodeError.
 
-    Raises InputError: it is missing, cannot be read, or one of `bad` is raised while it is open.
+    Raises InputError: it is missing, cannot be read, or one of these exceptions is raised while it is open.
     """
-    damaged: tuple[type[Exception], ...] = (OSError, *bad)
+    damaged: tuple[type[Exception], ...] = (OSError, UnicodeDecodeError, *bad)
     try:
         with contextlib.closing(file.open()) as handle:
             yield handle
