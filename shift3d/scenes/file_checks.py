@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import tokenize
 from collections.abc import Collection, Iterator
 from typing import Any
 
@@ -63,7 +64,7 @@ def read_array(file: Location) -> NDArray[Any]:
     content = read_bytes(file, ".npy file")
     try:
         array = np.load(io.BytesIO(content), allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, tokenize.TokenError) as error:  # NumPy parses the header as Python
         what = f"not a readable .npy file of numbers ({' '.join(str(error).split())[:80]})"
         raise InputError(what, str(file), _AGAIN) from error
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":

@@ -134,6 +134,12 @@ def points(values: np.ndarray) -> Callable[[Path], object]:
     return lambda root: np.save(root / "points" / "000001.npy", values)
 
 
+def unclosed(root: Path) -> None:
+    """Damage the brace that closes the header of an array."""
+    file = root / "points" / "000001.npy"
+    file.write_bytes(file.read_bytes().replace(b"}", b"|", 1))
+
+
 def with_nan() -> np.ndarray:
     values = frame()
     values[7, 1] = np.nan
@@ -145,6 +151,7 @@ def with_nan() -> np.ndarray:
     [
         (lambda root: (root / "points" / "000001.npy").write_bytes(b"\x93NUMPY\x01"), r"not a readable \.npy"),
         (lambda root: (root / "points" / "000001.npy").write_bytes(b""), r"not a readable \.npy"),
+        (unclosed, r"points/000001\.npy: not a readable \.npy"),
         (lambda root: (root / "labels" / "000001.txt").unlink(), r"label file is missing.*labels/ away"),
         (points(frame()[:0]), r"no point with a positive range"),
         (points(frame()[:, :2]), r"not rows of x, y, z"),
