@@ -18,7 +18,9 @@ from shift3d.wording import counted
 UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radians"
 _AGAIN = "Copy it again"
 _MISSING_REMEDY = "Add it, or leave the scene out"
-_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
+_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.5, 150.0
+FARTHEST_M = 1e4
+"""Largest distance of a return, label or sensor, and largest size; larger values mean a damaged file."""
 
 
 def read_bytes(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> bytes:
@@ -130,7 +132,7 @@ def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:
         raise InputError(f"row {int(finite.argmin())} is not finite", where, _AGAIN)
     if not ranges_m.any():
         raise InputError("no point with a positive range", where, "Use another frame")
-    bad = ~(np.abs(ranges_m) <= _FARTHEST_M)
+    bad = ~(np.abs(ranges_m) <= FARTHEST_M)
     if bad.any():
         row = int(bad.argmax())
         raise InputError(f"row {row} has a range of {ranges_m[row]:g} m", where, UNITS_REMEDY)
