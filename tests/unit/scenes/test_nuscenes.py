@@ -114,6 +114,7 @@ def test_an_inserted_vehicle_moves_through_the_sweeps_as_it_drives(tmp_path: Pat
 
 def test_versions_and_names_are_chosen(tmp_path: Path) -> None:
     write_release(tmp_path, drives=2)
+    (tmp_path / "v1.0-mini.tgz").write_bytes(b"the archive that it came in")
     every = NuScenesScenes(tmp_path).names()
     assert every == ["sample00", "sample01", "sample02", "sample10", "sample11", "sample12"]
     assert NuScenesScenes(tmp_path, count=2).names() == every[:2]
