@@ -96,6 +96,9 @@ def test_frames_are_chosen(tmp_path: Path) -> None:
     assert OpenPcdetScenes(tmp_path, split="val").names() == ["000002", "000001"]
     assert OpenPcdetScenes(tmp_path, split="val", count=1).names() == ["000002"]
     assert OpenPcdetScenes(tmp_path, names=["000001"]).names() == ["000001"]
+    assert OpenPcdetScenes(tmp_path, names=["000002", "000002", "000001"], count=2).names() == ["000002", "000001"]
+    with pytest.raises(InputError, match=r"points: no scenes\. Name some in scenes\.names"):
+        OpenPcdetScenes(tmp_path, names=[])
     (tmp_path / "points" / "000001.npy").unlink()
     assert OpenPcdetScenes(tmp_path, split="val", list_unreadable=True).names() == ["000002", "000001"]
     named = OpenPcdetScenes(tmp_path, names=["000001", "000009"], list_unreadable=True)
