@@ -235,11 +235,7 @@ def test_a_bad_row_refuses_the_scenes_that_use_it(
 @pytest.mark.parametrize(("sweeps", "says"), [(1, "conditions.ego_velocity_m_s"), (2, "origins: the beam of row")])
 def test_a_sweep_of_another_town_is_refused(tmp_path: Path, sweeps: int, says: str) -> None:
     write_release(tmp_path)
-
-    def move(rows: list[dict[str, Any]]) -> None:
-        rows[2]["translation"][0] += 20_000.0
-
-    change_table(tmp_path, "ego_pose", move)
+    change_table(tmp_path, "ego_pose", lambda rows: rows[2].update(translation=[20_000.0, 0.0, 0.0]))
     with pytest.raises(InputError, match=says):
         NuScenesScenes(tmp_path, sweeps=sweeps).load("sample02")
 
