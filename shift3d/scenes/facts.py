@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shift3d.errors import InputError
-from shift3d.scenes.scene import Conditions, Scene
+from shift3d.scenes.scene import FASTEST_M_S, Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 
 
@@ -39,8 +39,8 @@ class EffectSettings:
         for name, value in self.overrides().items():
             strictly = name in _POSITIVE
             if name == "object_speed_m_s":
-                if not abs(value) <= _FASTEST_M_S:
-                    raise InputError(f"{name} is {value}", "effects", f"Give {-_FASTEST_M_S:g} to {_FASTEST_M_S:g}")
+                if not abs(value) <= FASTEST_M_S:
+                    raise InputError(f"{name} is {value}", "effects", f"Give {-FASTEST_M_S:g} to {FASTEST_M_S:g}")
             elif not np.isfinite(value) or value < 0.0 or (strictly and value == 0.0):
                 remedy = "Give a positive number" if strictly else "Give a finite number of at least 0"
                 raise InputError(f"{name} is {value}", "effects", remedy)
@@ -53,7 +53,6 @@ class EffectSettings:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
-_FASTEST_M_S = 1e3
 _POSITIVE = ("visibility_m", "range_noise_m", "divergence_rad", "limit_range_m")
 _SENSOR = {part.name for part in fields(SensorModel)}
 

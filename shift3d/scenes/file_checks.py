@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import tokenize
 from collections.abc import Collection, Iterator
 from typing import Any
 
@@ -17,7 +18,9 @@ from shift3d.wording import counted
 UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radians"
 _AGAIN = "Copy it again"
 _MISSING_REMEDY = "Add it, or leave the scene out"
-_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
+_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.5, 150.0
+FARTHEST_M = 1e4
+"""Largest distance of a return, label or sensor, and largest size; larger values mean a damaged file."""
 
 
 def read_bytes(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> bytes:
@@ -43,11 +46,12 @@ def read_lines(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> list
 
 @contextlib.contextmanager
 def opened(file: Location, kind: str, *bad: type[Exception]) -> Iterator[Any]:
-    """Open a binary file. kind: name of the file's kind, for errors. bad: exceptions beside OSError that mean damage.
+    """Open a binary file. kind: name of the file's kind, for errors. bad: exceptions that mean damage, beside OSError
+    and UnicodeDecodeError.
 
-    Raises InputError: it is missing, cannot be read, or one of `bad` is raised while it is open.
+    Raises InputError: it is missing, cannot be read, or one of these exceptions is raised while it is open.
     """
-    damaged: tuple[type[Exception], ...] = (OSError, *bad)
+    damaged: tuple[type[Exception], ...] = (OSError, UnicodeDecodeError, *bad)
     try:
         with contextlib.closing(file.open()) as handle:
             yield handle
@@ -62,7 +66,7 @@ def read_array(file: Location) -> NDArray[Any]:
     content = read_bytes(file, ".npy file")
     try:
         array = np.load(io.BytesIO(content), allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, tokenize.TokenError) as error:  # NumPy parses the header as Python
         what = f"not a readable .npy file of numbers ({' '.join(str(error).split())[:80]})"
         raise InputError(what, str(file), _AGAIN) from error
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
@@ -128,7 +132,7 @@ def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:
         raise InputError(f"row {int(finite.argmin())} is not finite", where, _AGAIN)
     if not ranges_m.any():
         raise InputError("no point with a positive range", where, "Use another frame")
-    bad = ~(np.abs(ranges_m) <= _FARTHEST_M)
+    bad = ~(np.abs(ranges_m) <= FARTHEST_M)
     if bad.any():
         row = int(bad.argmax())
         raise InputError(f"row {row} has a range of {ranges_m[row]:g} m", where, UNITS_REMEDY)

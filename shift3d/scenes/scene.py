@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import validate_boxes
-from shift3d.scenes.file_checks import refuse_not_finite, require_array
+from shift3d.scenes.file_checks import FARTHEST_M, refuse_not_finite, require_array
 from shift3d.scenes.ground_map import GroundMap
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
 WEATHERS = ("dry", "rain", "fog", "snow")
 LEAST_VISIBILITY_M = 1e-3
 """Densest fog (our choice). At 1e-15 m float64 has no two positions in the first metre to resolve the echo."""
+
+FASTEST_M_S = 1e3
+"""Largest speed of a sensor or an inserted object (our choice); larger: a damaged pose, a typing error."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +105,9 @@ class Conditions:
         if not self.visibility_m >= LEAST_VISIBILITY_M:
             remedy = f"Give at least {LEAST_VISIBILITY_M:g} m (inf: clear)."
             raise InputError(f"{self.visibility_m} m", f"{where}, conditions.visibility_m", remedy)
-        if self.ego_velocity_m_s is not None and not np.isfinite(self.ego_velocity_m_s).all():
-            what = f"{self.ego_velocity_m_s}"
-            raise InputError(what, f"{where}, conditions.ego_velocity_m_s", "Give finite numbers, or None.")
+        if self.ego_velocity_m_s is not None and not (np.abs(self.ego_velocity_m_s) <= FASTEST_M_S).all():
+            what, remedy = f"{self.ego_velocity_m_s}", f"Repair the poses: give at most {FASTEST_M_S:g} m/s, or None."
+            raise InputError(what, f"{where}, conditions.ego_velocity_m_s", remedy)
 
 
 @dataclass(frozen=True)
@@ -156,7 +159,8 @@ class Scene:
     def validate(self) -> None:
         """Refuse a scene that cannot be rendered into.
 
-        Checks shapes, dtypes and finite values of all fields, at least one point with a beam, labels and conditions.
+        Checks shapes, dtypes and finite values of all fields, origins within 10 km, at least one point with a beam,
+        labels and conditions.
         Raises InputError: naming scene, field, row and remedy.
         """
         where = f"scene {self.scene_id}"
@@ -171,6 +175,10 @@ class Scene:
             require_array(values, shape, dtype, f"{where}, {name}")
             if np.issubdtype(dtype, np.floating):
                 refuse_not_finite(values, f"{where}, {name}", "Repair or drop those rows in the file.")
+        if (far := np.abs(self.origins).max(axis=1) > FARTHEST_M).any():
+            row = int(far.argmax())
+            what = f"the beam of row {row} starts at {self.origins[row].tolist()} m"
+            raise InputError(what, f"{where}, origins", "Repair the pose of its sensor.")
         if not np.isfinite(self.ground_z_m):
             raise InputError(f"{self.ground_z_m}", f"{where}, ground_z_m", "Give a finite height in metres.")
         if not self.has_beam.any():

@@ -82,7 +82,7 @@ class RecordedScenes(ABC):
 
     Args:
         root: folder or bucket.
-        names: scenes to use, in this order; None: all scenes found.
+        names: scenes to use, each once, in this order; None: all scenes found.
         count: maximum number of scenes; the search stops there.
         list_unreadable: also list named scenes that do not exist; loading one raises InputError.
     """
@@ -94,7 +94,7 @@ class RecordedScenes(ABC):
         self, root: LocationLike, names: Sequence[str] | None, count: int | None, list_unreadable: bool
     ) -> None:
         self.root, self._count, self.list_unreadable = as_location(root), count, list_unreadable
-        self._wanted = None if names is None else list(names)[:count]
+        self._wanted = None if names is None else list(dict.fromkeys(names))[:count]
 
     def names(self) -> list[str]:
         """List the names of the scenes.
@@ -114,7 +114,8 @@ class RecordedScenes(ABC):
             raise InputError(f"no scene {missing[0]!r}", self._found_in(), remedy)
         listed = found if wanted is None else wanted
         if not listed:
-            raise InputError("no scenes", self._found_in(), "Give another folder")
+            remedy = "Give another folder" if wanted is None else "Name some in scenes.names, or give null for all"
+            raise InputError("no scenes", self._found_in(), remedy)
         return listed
 
     @abstractmethod

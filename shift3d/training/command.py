@@ -176,6 +176,4 @@ def _scene_set(options: TrainOptions) -> SceneSet | None:
         raise InputError(f"scenes={options.scenes!r} is unknown", "train", remedy)
     if not options.root:
         raise InputError("root= is missing", "train", "Give root=PATH, the folder that holds KITTI's training/")
-    root = Path(options.root).expanduser()
-    everything = KittiScenes(root)
-    return everything if options.count is None else KittiScenes(root, everything.names()[: options.count])
+    return KittiScenes(Path(options.root).expanduser(), count=options.count)

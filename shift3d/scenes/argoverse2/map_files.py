@@ -66,7 +66,7 @@ def _heights(file: Location, placed_by: Location, centre_m: Float) -> Float:
         raise InputError(what, str(file), _AGAIN)
     reach = _REACH_M * scale
     rows, columns = (
-        np.arange(max(0, int(middle - reach)), min(size, max(0, int(middle + reach))))
+        np.arange(*np.clip((middle - reach, middle + reach), 0, size).astype(np.int64))
         for middle, size in ((row, raster.shape[0]), (column, raster.shape[1]))
     )
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) + 0.5

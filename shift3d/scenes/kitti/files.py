@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d
-from shift3d.scenes.file_checks import read_lines, read_records, refuse_not_finite, require_metres
+from shift3d.scenes.file_checks import FARTHEST_M, read_lines, read_records, refuse_not_finite, require_metres
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
@@ -31,8 +31,6 @@ _CALIB_SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 _LABEL_COLUMNS = 15
 GROUND = "ground"
 """Folder of an exported frame's ground height, one number a file. KITTI's own frames have none; it is estimated."""
-FARTHEST_M = 1e4
-"""Largest distance of a return, label or camera from the LiDAR, and largest size; larger values mean a damaged file."""
 IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few pixels, and images are not read
 SMALLEST_M = 0.01  # labels are written to the centimetre
 _ROTATION_TOLERANCE = 0.02  # of the rows' products: files have 7 digits

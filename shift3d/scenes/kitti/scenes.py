@@ -36,6 +36,7 @@ class KittiScenes(RecordedScenes):
     Args:
         root: the folder that holds ``training/``, or ``training`` itself.
         names: frame numbers to use ("000134"); None: every frame that has a point file, sorted.
+        count: maximum number of frames.
         reflectance_max: file value of full reflectance; None: 1, as in KITTI's own files.
         list_unreadable: also list frames whose files are missing; loading one raises InputError.
 
@@ -54,10 +55,11 @@ class KittiScenes(RecordedScenes):
         self,
         root: LocationLike,
         names: Sequence[str] | None = None,
+        count: int | None = None,
         reflectance_max: float | None = None,
         list_unreadable: bool = False,
     ) -> None:
-        super().__init__(root, names, None, list_unreadable)
+        super().__init__(root, names, count, list_unreadable)
         self.reflectance_max = reflectance_max
         self.folder = self.root if "velodyne" in names_in(self.root) else self.root / "training"
         parts = names_in(self.folder)

@@ -162,7 +162,7 @@ class NuScenesScenes(RecordedScenes):
 
 
 def _tables(root: Location, version: str | None) -> Location | None:
-    found = [name for name in names_in(root) if name.startswith("v1.0-")]
+    found = [name for name in names_in(root) if name.startswith("v1.0-") and not (root / name).is_file()]
     if version is not None:
         if version not in found:
             raise InputError(

@@ -33,7 +33,7 @@ def table_rows(file: Location) -> Iterator[Row]:
     """
     decoder, text = json.JSONDecoder(), ""
     with (
-        opened(file, "table", UnicodeDecodeError, RecursionError) as handle,
+        opened(file, "table", RecursionError) as handle,
         io.TextIOWrapper(handle, "utf-8") as reader,
     ):
         while piece := reader.read(_PIECE):

@@ -74,6 +74,7 @@ class Component:
             yield parquet
 
     def _checked(self, table: pa.Table) -> pa.Table:
+        table.validate(full=True)  # its texts may not be UTF-8
         for found in table[SEGMENT].unique().to_pylist():
             if str(found) != self.segment:
                 what = f"rows of segment {found!r} in the file of {self.segment!r}"

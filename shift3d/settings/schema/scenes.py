@@ -129,9 +129,11 @@ def scene_set(config: SceneConfig) -> SceneSet:
         from shift3d.scenes.sets import StreetScenes
 
         return StreetScenes(config.sensor, config.seed, config.count, config.split, options=config.options())
-    if isinstance(config, KittiConfig):
-        return _kitti(config)
     root, names, count, list_unreadable = config.root, config.names, config.count, config.skip_bad
+    if isinstance(config, KittiConfig):
+        from shift3d.scenes.kitti.scenes import KittiScenes
+
+        return KittiScenes(root, names, count, config.reflectance_max, list_unreadable)
     if isinstance(config, WaymoConfig):
         from shift3d.scenes.waymo.scenes import WaymoScenes
 
@@ -149,12 +151,3 @@ def scene_set(config: SceneConfig) -> SceneSet:
     x, y, z = config.sensor_m
     constants = (config.ground_z_m, config.reflectance_max)
     return OpenPcdetScenes(root, names, count, config.split, (x, y, z), *constants, list_unreadable)
-
-
-def _kitti(config: KittiConfig) -> SceneSet:
-    from shift3d.scenes.kitti.scenes import KittiScenes
-
-    scenes = KittiScenes(config.root, config.names, config.reflectance_max, config.skip_bad)
-    if config.count is None:
-        return scenes
-    return KittiScenes(config.root, scenes.names()[: config.count], config.reflectance_max, config.skip_bad)

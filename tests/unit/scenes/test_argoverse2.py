@@ -142,6 +142,21 @@ def as_text(table: pa.Table) -> pa.Table:
     return table.set_column(at, "timestamp_ns", table["timestamp_ns"].cast(pa.string()))
 
 
+def not_utf8(name: str) -> Callable[[pa.Table], pa.Table]:
+    """Write a text column whose bytes are not UTF-8."""
+
+    def change(table: pa.Table) -> pa.Table:
+        texts = pa.array([b"\xff"] * len(table)).view(pa.string())
+        return table.set_column(table.column_names.index(name), name, texts)
+
+    return change
+
+
+def misnamed(part: str, name: bytes) -> Spoil:
+    """Damage the last byte of a column's name wherever the file has it."""
+    return lambda log: (log / part).write_bytes((log / part).read_bytes().replace(name, name[:-1] + b"\xff"))
+
+
 def centimetres(table: pa.Table) -> pa.Table:
     for name in "xyz":
         table = scaled(name, 100.0)(table)
@@ -167,6 +182,8 @@ def centimetres(table: pa.Table) -> pa.Table:
         (rewrite(POSES, scaled("qw", 1.5)), r"no unit quaternion"),
         (rewrite(MOUNTS, lambda table: table.slice(0, 2)), r"0 rows of down_lidar"),
         (rewrite(BOXES, lambda t: t.set_column(2, "category", pa.array(["CAR"] * len(t)))), r"unknown category 'CAR'"),
+        *((rewrite(p, not_utf8(n)), rf"{p}.*Feather.*UTF") for p, n in ((BOXES, "category"), (MOUNTS, "sensor_name"))),
+        *((misnamed(p, n), rf"{p}.*Feather.*utf") for p, n in ((SWEEP, b"offset_ns"), (MOUNTS, b"sensor_name"))),
         (rewrite(BOXES, as_text), r"annotations\.feather: column timestamp_ns has gaps or is no numbers"),
         (rewrite(BOXES, scaled("timestamp_ns", 0.5)), r"annotations\.feather: it annotates no sweep of the log"),
         (rewrite(BOXES, scaled("length_m", 0.0)), r"annotations\.feather, sweep .*dx = 0"),

@@ -90,6 +90,13 @@ def test_a_log_without_a_map_has_none_and_one_with_it_is_another_scene(tmp_path:
     assert outlines is not None and np.isnan(outlines.height_m).all() and outlines.drivable is not None
 
 
+@pytest.mark.parametrize("similar", [{"t": [1e300, 0.0], "s": 1.0}, {"t": [0.0, 0.0], "s": 1e300}])
+def test_a_raster_out_of_reach_tells_no_height(log: Path, similar: dict[str, object]) -> None:
+    (log / "map" / f"{LOG}___img_Sim2_city.json").write_text(json.dumps({"R": [1.0, 0.0, 0.0, 1.0], **similar}))
+    found = Argoverse2Scenes(log).load(NAME).ground_map
+    assert found is not None and np.isnan(found.height_m).all()
+
+
 def outline(x: str) -> bytes:
     return f'{{"drivable_areas": {{"1": {{"area_boundary": [{{"x": {x}, "y": 0, "z": 0}}]}}}}}}'.encode()
 

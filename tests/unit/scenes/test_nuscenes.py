@@ -114,6 +114,7 @@ def test_an_inserted_vehicle_moves_through_the_sweeps_as_it_drives(tmp_path: Pat
 
 def test_versions_and_names_are_chosen(tmp_path: Path) -> None:
     write_release(tmp_path, drives=2)
+    (tmp_path / "v1.0-mini.tgz").write_bytes(b"the archive that it came in")
     every = NuScenesScenes(tmp_path).names()
     assert every == ["sample00", "sample01", "sample02", "sample10", "sample11", "sample12"]
     assert NuScenesScenes(tmp_path, count=2).names() == every[:2]
@@ -229,6 +230,14 @@ def test_a_bad_row_refuses_the_scenes_that_use_it(
             refused.append(scene)
             assert f"{name}.json" in error.where
     assert refused == ["sample10"]
+
+
+@pytest.mark.parametrize(("sweeps", "says"), [(1, "conditions.ego_velocity_m_s"), (2, "origins: the beam of row")])
+def test_a_sweep_of_another_town_is_refused(tmp_path: Path, sweeps: int, says: str) -> None:
+    write_release(tmp_path)
+    change_table(tmp_path, "ego_pose", lambda rows: rows[2].update(translation=[20_000.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match=says):
+        NuScenesScenes(tmp_path, sweeps=sweeps).load("sample02")
 
 
 def test_rows_of_a_table_are_read_across_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

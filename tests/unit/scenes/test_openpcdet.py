@@ -96,6 +96,9 @@ def test_frames_are_chosen(tmp_path: Path) -> None:
     assert OpenPcdetScenes(tmp_path, split="val").names() == ["000002", "000001"]
     assert OpenPcdetScenes(tmp_path, split="val", count=1).names() == ["000002"]
     assert OpenPcdetScenes(tmp_path, names=["000001"]).names() == ["000001"]
+    assert OpenPcdetScenes(tmp_path, names=["000002", "000002", "000001"], count=2).names() == ["000002", "000001"]
+    with pytest.raises(InputError, match=r"points: no scenes\. Name some in scenes\.names"):
+        OpenPcdetScenes(tmp_path, names=[])
     (tmp_path / "points" / "000001.npy").unlink()
     assert OpenPcdetScenes(tmp_path, split="val", list_unreadable=True).names() == ["000002", "000001"]
     named = OpenPcdetScenes(tmp_path, names=["000001", "000009"], list_unreadable=True)
@@ -134,6 +137,12 @@ def points(values: np.ndarray) -> Callable[[Path], object]:
     return lambda root: np.save(root / "points" / "000001.npy", values)
 
 
+def unclosed(root: Path) -> None:
+    """Damage the brace that closes the header of an array."""
+    file = root / "points" / "000001.npy"
+    file.write_bytes(file.read_bytes().replace(b"}", b"|", 1))
+
+
 def with_nan() -> np.ndarray:
     values = frame()
     values[7, 1] = np.nan
@@ -145,6 +154,7 @@ def with_nan() -> np.ndarray:
     [
         (lambda root: (root / "points" / "000001.npy").write_bytes(b"\x93NUMPY\x01"), r"not a readable \.npy"),
         (lambda root: (root / "points" / "000001.npy").write_bytes(b""), r"not a readable \.npy"),
+        (unclosed, r"points/000001\.npy: not a readable \.npy"),
         (lambda root: (root / "labels" / "000001.txt").unlink(), r"label file is missing.*labels/ away"),
         (points(frame()[:0]), r"no point with a positive range"),
         (points(frame()[:, :2]), r"not rows of x, y, z"),

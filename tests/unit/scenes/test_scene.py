@@ -50,6 +50,7 @@ def bad_points(row: int, value: float) -> np.ndarray:
         ({"points": np.zeros((3, 4), np.float32)}, r"points.*\(3, 4\)"),
         ({"points": make_scene().points.astype(np.float64)}, r"points.*float64"),
         ({"origins": np.zeros((2, 3), np.float32)}, r"origins.*\(2, 3\)"),
+        ({"origins": np.float32([[0, 0, 0], [0, 2e4, 0], [0, 0, 0]])}, r"origins: the beam of row 1 starts.*pose"),
         ({"points": np.zeros((3, 3), np.float32)}, r"points.*positive range"),
         ({"points": np.zeros((0, 3), np.float32)}, r"points.*no points"),
         ({"reflectance": np.array([0.1, 2.0, 0.1], np.float32)}, r"reflectance.*row 1"),
@@ -61,6 +62,10 @@ def bad_points(row: int, value: float) -> np.ndarray:
         ({"conditions": Conditions(weather="sleet")}, r"conditions.weather.*sleet"),
         ({"conditions": Conditions(weather="rain", rain_mm_h=-1.0)}, r"rain_mm_h"),
         ({"conditions": Conditions(weather="fog", visibility_m=0.0)}, r"visibility_m"),
+        *(
+            ({"conditions": Conditions(ego_velocity_m_s=(0.0, speed, 0.0))}, r"ego_velocity_m_s.*poses")
+            for speed in (np.nan, np.inf, -2e3)
+        ),
     ],
 )
 def test_a_bad_scene_is_refused_with_field_and_row(changes: dict[str, Any], says: str) -> None:

@@ -177,6 +177,22 @@ def truncated(component: str) -> Spoil:
     return spoil
 
 
+def misnamed(component: str) -> Spoil:
+    """Damage a letter of a column's name wherever the file has it."""
+
+    def spoil(root: Path) -> None:
+        path = root / component / f"{SEGMENT}.parquet"
+        path.write_bytes(path.read_bytes().replace(b"key.frame_t", b"key.frame_\xff"))
+
+    return spoil
+
+
+def not_utf8(table: pa.Table) -> pa.Table:
+    weather = "[StatsComponent].weather"
+    texts = pa.array([b"\xff"] * len(table)).view(pa.string())
+    return table.set_column(table.column_names.index(weather), weather, texts)
+
+
 def missing(component: str) -> Spoil:
     return lambda root: (root / component / f"{SEGMENT}.parquet").unlink()
 
@@ -220,6 +236,8 @@ INCLINATION = "[LiDARCalibrationComponent].beam_inclination"
         ),
         (missing("lidar_box"), r"lidar_box.*missing"),
         *((truncated(part), rf"{part}.*not a readable Parquet") for part in ("lidar", "lidar_pose", "lidar_box")),
+        *((misnamed(part), rf"{part}.*not a readable Parquet.*utf") for part in ("lidar", "vehicle_pose", "lidar_box")),
+        (rewrite("stats", not_utf8), r"stats.*not a readable Parquet.*UTF"),
         *(
             (rewrite(part, lambda table: table.slice(0, 0)), rf"{part}.*no rows")
             for part in ("lidar_pose", "lidar_box")
