@@ -21,6 +21,7 @@ from shift3d.training.processes import each
 _CODE = (
     *("scenes", "vehicles", "sdf", "geometry", "render", "effects", "task", "seeding.py", "processor.py"),
     *("training/detector_scenes.py", "training/inserted_vehicles.py"),
+    *("attack/objective.py", "attack/problem.py", "finetuning/tune.py"),
 )
 KEPT_HALF_WIDTH_M = 80.0
 FULL_CIRCLE_RAD = (0.0, float(np.pi))
