@@ -66,7 +66,8 @@ class UserDetector(NmsDetector):
 def load_user_detector(module: Path, weights: Path | None, precision: Precision = "float32") -> UserDetector:
     """Load a detector from a Python file and test it on random points. ``load`` runs with a fixed torch seed.
 
-    precision: "float64" converts the parameters of a torch module to float64; other values leave them unchanged.
+    precision: "float64" converts the parameters of a torch module to float64; other values leave them unchanged. A
+    function gets points in float32 at every precision, because its parameters cannot be converted.
 
     Raises InputError with the file and line if the file is missing, fails or has no ``load``, or if the model's output
     is not as `UserDetector` requires, differs between two calls, or is not differentiable w.r.t. the points.
@@ -81,10 +82,11 @@ def load_user_detector(module: Path, weights: Path | None, precision: Precision 
         model = load(None if weights is None else str(weights))
     if not callable(model):
         raise InputError("load() returned nothing that can be called with points", str(module), _GUIDE)
-    dtype = torch.float64 if precision == "float64" else torch.float32
+    dtype = torch.float32
     if isinstance(model, nn.Module):
         model = model.eval().requires_grad_(False)
-        model = model.double() if precision == "float64" else model
+        if precision == "float64":
+            model, dtype = model.double(), torch.float64
     detector = UserDetector(model, str(module), dtype)
     _try(detector, str(module))
     return detector
@@ -160,9 +162,10 @@ def _clear_errors(where: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame.lineno for frame in frames if Path(frame.filename).name == Path(where).name]
-        line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+        if isinstance(error, SyntaxError) and error.filename:
+            places.append((error.filename, error.lineno))
+        line = next((line for file, line in places[::-1] if Path(file).resolve() == Path(where).resolve()), None)
         what = f"{type(error).__name__}: {str(error)[:200]}"
         remedy = _ALONE if isinstance(error, ModuleNotFoundError) else "Repair the file"
         raise InputError(what, f"{where}, line {line}" if line else where, remedy) from error

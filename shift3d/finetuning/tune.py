@@ -155,7 +155,8 @@ def fine_tune(
     return weights
 
 
-_FIXED_FIELDS = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes")  # the sweep, the start or steps= decide
+# The sweep, the start, steps= or `EpochCrops` decide these.
+_FIXED_FIELDS = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes", "mesh_only_steps")
 
 
 def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:

@@ -1,9 +1,11 @@
-"""Atomic writing of NumPy archives and safetensors files, and reading of safetensors files."""
+"""Atomic writing and reading of NumPy archives and safetensors files."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +27,21 @@ def write_arrays(path: Path, **arrays: Any) -> None:
             np.savez(file, **arrays)
 
     write_atomic(path, write)
+
+
+@contextmanager
+def read_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """Yield the arrays of a file of `write_arrays` by name; each is read when it is asked for.
+
+    Raises: InputError naming the file if it cannot be read, is damaged, or lacks an array that is asked for.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            yield arrays
+    # RuntimeError: a damaged header says that the file is encrypted, or packed by another method.
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as error:
+        what = f"is not the file that was written ({type(error).__name__})"
+        raise InputError(what, str(path), "Remove the file: the same command makes it again") from error
 
 
 def write_safetensors(path: Path, tensors: Mapping[str, Tensor | NDArray[Any]], metadata: Mapping[str, str]) -> None:

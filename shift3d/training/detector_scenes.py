@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
-from shift3d.store.arrays import write_arrays
+from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.user_cache import program_digest
 from shift3d.training.processes import each
 
@@ -21,6 +21,7 @@ from shift3d.training.processes import each
 _CODE = (
     *("scenes", "vehicles", "sdf", "geometry", "render", "effects", "task", "seeding.py", "processor.py"),
     *("training/detector_scenes.py", "training/inserted_vehicles.py"),
+    *("attack/objective.py", "attack/problem.py", "finetuning/tune.py"),
 )
 KEPT_HALF_WIDTH_M = 80.0
 FULL_CIRCLE_RAD = (0.0, float(np.pi))
@@ -125,5 +126,5 @@ def _cache(build: Callable[[str], TrainingScene], missing: tuple[str, Path]) -> 
 
 def load_cached(file: Path) -> TrainingScene:
     """Read one cached scene."""
-    with np.load(file, allow_pickle=False) as data:
+    with read_arrays(file) as data:
         return TrainingScene(data["points"], data["boxes"], float(data["height"]))

@@ -5,11 +5,14 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
 
 import torch
+
+from shift3d.errors import InputError
 
 Result = TypeVar("Result")
 
@@ -21,6 +24,8 @@ def each(
 
     hold: called once in every process; work is then called as work(held, item). Data sent to other processes must be
     picklable. After an error, items that have not started are cancelled.
+
+    Raises: InputError if a process ends early, as when memory runs out; any error of `work`.
     """
     workers = min(workers, len(items))
     if workers <= 1:
@@ -31,6 +36,9 @@ def each(
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (hold,))
     try:
         yield from pool.map(partial(_with_held, work), items)
+    except BrokenProcessPool as error:
+        what = f"one of {workers} processes ended early, as when memory runs out"
+        raise InputError(what, "this machine", "Give fewer workers= or threads=: the same command resumes") from error
     finally:
         pool.shutdown(cancel_futures=True)
 

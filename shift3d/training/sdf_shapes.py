@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from shift3d.sdf.samples import bounding_scale, sample_sdf
 from shift3d.seeding import generator
-from shift3d.store.arrays import write_arrays
+from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.user_cache import program_digest
 from shift3d.training.processes import each
 from shift3d.vehicles.family import VehicleSpec, build_mesh, family
@@ -60,13 +60,13 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
         parts = list(tqdm(work, total=shapes, desc="sampling shapes", mininterval=5.0))
         points, distances, scale_m = (np.array(values) for values in zip(*parts, strict=True))
         write_arrays(file, points=points, distances=distances, scale_m=scale_m)
-    with np.load(file, allow_pickle=False) as data:
+    with read_arrays(file) as data:
         return ShapeSamples(data["points"], data["distances"], data["scale_m"])
 
 
 def shape_scales(shapes: int, seed: int, cache: Path) -> NDArray[np.float64]:
     """Return metres per sdf unit (S,) of the training shapes: from the cached samples, or else from the meshes."""
     for file in sorted(cache.glob(f"shapes-{shapes}-*-{seed}-{program_digest(*_CODE)[:16]}.npz")):
-        with np.load(file, allow_pickle=False) as data:
+        with read_arrays(file) as data:
             return np.asarray(data["scale_m"], np.float64)
     return np.array([bounding_scale(build_mesh(spec)) for spec in family(shapes, seed)])

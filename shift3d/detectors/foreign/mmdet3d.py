@@ -128,16 +128,17 @@ def _inputs(
 
 def _channels(root: Section, count: int) -> tuple[str, ...]:
     """Return the channels of the model's points: those that test_pipeline loads, or the first columns without it."""
-    columns: tuple[int, ...] = tuple(range(count))
+    columns: tuple[float, ...] = tuple(range(count))
     steps: Any = root.values.get("test_pipeline")
     for step in steps if isinstance(steps, list) else ():
         if isinstance(step, dict) and step.get("type") in ("LoadPointsFromFile", "LoadPointsFromMultiSweeps"):
             loader = Section(step, root.file, "test_pipeline")
             used = loader.get("use_dim", [0, 1, 2] if step["type"] == "LoadPointsFromFile" else [0, 1, 2, 4])
-            columns = tuple(range(used)) if isinstance(used, int) else tuple(used)
+            columns = tuple(range(used)) if isinstance(used, int) else loader.numbers("use_dim", default=used)
     if len(columns) != count or columns[:3] != (0, 1, 2) or not set(columns) <= set(range(len(_CHANNELS))):
-        root.refuse(f"test_pipeline loads the columns {list(columns)} for a model of {count} channels")
-    return tuple(_CHANNELS[column] for column in columns)
+        shown = ", ".join(f"{column:g}" for column in columns)
+        root.refuse(f"test_pipeline loads the columns {shown} for a model of {count} channels")
+    return tuple(_CHANNELS[int(column)] for column in columns)
 
 
 def _data_set(root: Section) -> str:

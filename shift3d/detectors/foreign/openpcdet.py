@@ -30,27 +30,28 @@ _FAR_M = 1e6
 _BOX_BRANCHES = (("center", 2), ("center_z", 1), ("dim", 3), ("rot", 2))
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read a config merged over its `_BASE_CONFIG_` files: tables are merged, other values are replaced.
 
     Base paths are searched relative to the config's folder and its parents (OpenPCDet: relative to tools/), then by
-    file name beside the config. Raises InputError if a file is missing or not YAML.
+    file name beside the config. above: the files that it is a base of. Raises InputError if a file is missing or not
+    YAML, or is a base of itself.
     """
+    if (file := path.resolve()) in above:
+        raise InputError(f"{_BASE} leads back to it", str(path), "Remove the circle")
     try:
         content = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+        if not isinstance(content, dict):
+            raise InputError("holds no table", str(path), "Give the model's YAML of OpenPCDet")
+        return _with_bases(content, path, (*above, file))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:  # an alias may hold itself
         raise InputError(f"no readable YAML: {str(error)[:200]}", str(path), "Check detector.config") from error
-    if not isinstance(content, dict):
-        raise InputError("holds no table", str(path), "Give the model's YAML of OpenPCDet")
-    return _with_bases(content, path, 0)
 
 
-def _with_bases(values: dict[str, Any], path: Path, depth: int) -> dict[str, Any]:
-    if depth > 20:
-        raise InputError(f"{_BASE} does not end", str(path), "Remove the circle")
+def _with_bases(values: dict[str, Any], path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     name = values.get(_BASE)
-    under = {} if name is None else read_yaml(_base_file(str(name), path))
-    tables = {key: _with_bases(value, path, depth + 1) for key, value in values.items() if isinstance(value, dict)}
+    under = {} if name is None else read_yaml(_base_file(str(name), path), above)
+    tables = {key: _with_bases(value, path, above) for key, value in values.items() if isinstance(value, dict)}
     return merged(under, {key: tables.get(key, value) for key, value in values.items() if key != _BASE})
 
 

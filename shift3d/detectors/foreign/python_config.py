@@ -44,7 +44,7 @@ def _read(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     if path in above:
         raise InputError(f"{_BASE} leads back to it", str(path), "Remove the circle")
     try:
-        tree = ast.parse(path.read_text(), str(path))
+        tree = ast.parse(path.read_bytes(), str(path))
     except OSError as error:
         raise InputError("no readable file", str(path), "Check detector.config and its _base_") from error
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

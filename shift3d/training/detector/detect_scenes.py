@@ -5,9 +5,7 @@ Results are stored in one small file per scene, so that an interrupted evaluatio
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,13 +15,12 @@ import numpy as np
 import torch
 
 from shift3d.detectors.base import Detector
-from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame, FrameDetections, GroundTruth
 from shift3d.scenes.kitti.files import Calibration
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
-from shift3d.store.arrays import write_arrays
+from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.training.detector_scenes import network_points
 from shift3d.training.processes import each, threads
 
@@ -148,7 +145,7 @@ def _is_kept(file: Path, state: str) -> bool:
     """True if the file holds a result of this state."""
     if not file.exists() or not state:
         return file.exists()
-    with _readable(file) as data:
+    with read_arrays(file) as data:
         return "state" in data and str(data["state"]) == state
 
 
@@ -176,7 +173,7 @@ def write_scene_detections(file: Path, answer: SceneDetections, state: str = "")
 
 def read_scene_detections(file: Path) -> SceneDetections:
     """Read a file of :func:`write_scene_detections`, bit for bit. Raises InputError for any other file."""
-    with _readable(file) as data:
+    with read_arrays(file) as data:
         truth = GroundTruth(
             data["truth_boxes"],
             data["num_points"],
@@ -188,13 +185,3 @@ def read_scene_detections(file: Path) -> SceneDetections:
         found = FrameDetections(data["boxes"], data["scores"], data["labelled"], data["image_height_px"])
         scene_ms, detect_ms = (float(value) for value in data["milliseconds"])
         return SceneDetections(DetectedFrame(str(data["scene"]), truth, found), scene_ms, detect_ms)
-
-
-@contextmanager
-def _readable(file: Path) -> Iterator[Mapping[str, np.ndarray]]:
-    """Yield a result's arrays by name. Raises InputError for any other file."""
-    try:
-        with np.load(file, allow_pickle=False) as data:
-            yield data
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"is no stored answer ({type(error).__name__})", str(file), "Remove the file") from error

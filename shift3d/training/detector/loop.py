@@ -82,10 +82,13 @@ class _Run:
         if not self.file.is_file():
             return 0.0
         state = read_checkpoint(self.file)
-        for key, ours, what in (("recipe", repr(self.recipe), "recipe"), ("data", self.data, "set of scenes")):
+        for key, ours, how in (
+            ("recipe", repr(self.recipe), "by another recipe"),
+            ("data", self.data, "on another set of scenes, or from other weights"),
+        ):
             # Checkpoints without `data` are of the shipped streets.
             if state.get(key, SHIPPED_DATA) != ours:
-                what = f"the checkpoint was trained by another {what}"
+                what = f"the checkpoint was trained {how}"
                 raise InputError(what, str(self.file), remedy="Choose another folder with out=")
         self.net.load_state_dict(state["net"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -137,12 +140,12 @@ def train_on_scenes(
     Args:
         mesh_scenes, inserted_scenes: cached scenes without and with rendered insertions.
         compute: default the CPU, one thread. report: called with the curves' points after every checkpoint.
-        data: identifies the scenes; a checkpoint of other scenes is refused.
+        data: identifies the scenes and the weights at the start; a checkpoint of others is refused.
         start: a state dict to start from instead of random weights. draw: class that chooses a step's crops.
         keep_statistics: batch norms compute as at inference from the first step, with the statistics of `start`.
     Returns: the network on its device, in evaluation mode.
-    Raises: InputError if the recipe is invalid, the checkpoint belongs to another recipe or other scenes, or the loss
-    is not finite; KeyboardInterrupt when asked to stop, after the checkpoint is written.
+    Raises: InputError if the recipe is invalid, the checkpoint is of another recipe, scenes or start, or the loss is
+    not finite; KeyboardInterrupt when asked to stop, after the checkpoint is written.
     """
     recipe.validate()
     compute.prepare()
@@ -174,6 +177,8 @@ def train_on_scenes(
             if stop.is_set() and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
     if run.done == recipe.steps == recipe.all_steps:  # no settle steps: only the statistics are computed
+        if not run.done:  # no step wrote the checkpoint, whose facts the provenance holds
+            run.save(report)
         _freeze_backbone(run, crops.of_statistics())
     return run.net.eval().requires_grad_(True)
 

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Decoder
-from shift3d.store.arrays import write_arrays
+from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.atomic import write_atomic
 from shift3d.store.user_cache import program_digest
 from shift3d.training.checkpoints import read_checkpoint
@@ -76,7 +76,7 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
         work = each(_sampled, tasks, processes)
         parts = list(tqdm(work, total=len(tasks), desc="sampling meshes", mininterval=5.0))
         _keep(kept, parts, files, hashes)
-    with np.load(kept, allow_pickle=False) as data:
+    with read_arrays(kept) as data:
         facts = json.loads(str(data["facts"]))
         arrays = ShapeSamples(data["points"], data["distances"], data["scale_m"], source)
     places = {file.name: str(file.path) for file in files}  # the folder may have moved since

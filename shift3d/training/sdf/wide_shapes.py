@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from shift3d.sdf.samples import SPHERE_MARGIN, sample_sdf_within
 from shift3d.seeding import generator
-from shift3d.store.arrays import write_arrays
+from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.user_cache import program_digest
 from shift3d.training.processes import each
 from shift3d.vehicles.family.parameters import ParameterTable, is_symmetric, parameter_table
@@ -91,7 +91,7 @@ def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int
                 points, distances = (np.stack(arrays) for arrays in zip(*islice(work, len(some)), strict=True))
                 write_arrays(file, points=points, distances=distances)
             bar.update(len(some))
-            with np.load(file, allow_pickle=False) as data:
+            with read_arrays(file) as data:
                 parts.append((data["points"], data["distances"]))
     table = parameter_table(specs)
     return WideShapes(

@@ -88,6 +88,20 @@ def test_tables_of_a_base_are_merged_and_all_else_replaced(tmp_path: Path) -> No
     assert found["grid"]["num_x"] == 32 and found["inputs"]["constants"] == [0.27]
 
 
+def test_bases_that_lead_back_to_their_config_are_named(tmp_path: Path) -> None:
+    path = pcd_pointpillar(tmp_path)
+    base = tmp_path / "tools/cfgs/dataset_configs/kitti_dataset.yaml"
+    base.write_text(f"{base.read_text()}\n_BASE_CONFIG_: {path.relative_to(tmp_path / 'tools')}\n")
+    error = refused("openpcdet", path)
+    assert "leads back to it" in error.what and error.where == str(path) and "circle" in str(error.remedy)
+
+
+def test_a_table_that_holds_itself_is_refused(tmp_path: Path) -> None:
+    path = pcd_pointpillar(tmp_path)
+    path.write_text(path.read_text() + "\nHOOK: &hook\n    INNER: *hook\n")
+    assert "no readable YAML" in str(refused("openpcdet", path))
+
+
 def test_yaml_makes_no_objects(tmp_path: Path) -> None:
     path = pcd_pointpillar(tmp_path)
     path.write_text(path.read_text() + "\nHOOK: !!python/object/apply:os.getcwd []\n")
@@ -101,7 +115,10 @@ MM = [
     ("type='AlignedAnchor3DRangeGenerator'", "type='AnchorGenerator'", "AnchorGenerator"),
     ("use_sigmoid=True", "use_sigmoid=False", "use_sigmoid"),
     ("num_classes=3", "num_classes=4", "num_classes"),
-    ("in_channels=4", "in_channels=5", "4 columns|columns"),
+    ("in_channels=4", "in_channels=5", "the columns 0, 1, 2, 3 for a model of 5"),
+    ("use_dim=4", "use_dim=None", "use_dim is None, not a list"),
+    ("use_dim=4", "use_dim=[0, 1, 2, [3]]", r"use_dim is \[3\], not a finite number"),
+    ("use_dim=4", "use_dim=[0, 1, 2, 2.5]", "the columns 0, 1, 2, 2.5 for a model of 4"),
     ("voxel_size=voxel_size,\n        point_cloud_range", "point_cloud_range", "voxel_size"),
     ("    backbone=dict(", "    img_backbone=dict(type='ResNet'),\n    backbone=dict(", "img_backbone"),
     ("with_distance=False", "with_distance=True", "with_distance"),
@@ -118,6 +135,13 @@ def test_what_mmdetection3d_has_beyond(there: str, instead: str, says: str, tmp_
     path.write_text(text.replace(there, instead))
     with pytest.raises(InputError, match=says):
         layout("mmdet3d", path)
+
+
+def test_a_python_config_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = mm_pointpillars(tmp_path)
+    expected = layout("mmdet3d", path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert layout("mmdet3d", path) == expected
 
 
 def test_a_value_that_is_no_literal_is_named_with_its_line_where_it_is_needed(tmp_path: Path) -> None:

@@ -88,6 +88,37 @@ def test_a_function_is_a_detector_too(tmp_path: Path) -> None:
     assert isinstance(load_user_detector(path, None), UserDetector)
 
 
+def test_a_function_with_float32_weights_scores_at_every_precision(tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(
+        f"{HEAD}w = torch.full((3,), 0.5)\n"
+        f"def load(weights): return lambda points: ({BOX}, (points.sum(0) @ w)[None])\n"
+    )
+    at = torch.ones(4, 3, dtype=torch.float64)
+    for precision in ("float32", "bfloat16", "float64"):
+        found = load_user_detector(path, None, precision).proposals(at)  # type: ignore[arg-type]
+        assert found.logits.tolist() == [6.0]
+
+
+@pytest.mark.parametrize("name", ["mine.py", "module.py", "linear.py"])
+def test_an_error_names_the_line_of_the_users_file(name: str, tmp_path: Path) -> None:
+    """torch/nn/modules holds a module.py and a linear.py, through which the error passes."""
+    path = written(tmp_path / name, "self.layer = nn.Linear(4, 1)", "self.layer(points)")
+    line = next(number for number, text in enumerate(path.read_text().splitlines(), 1) if "self.layer(points)" in text)
+    with pytest.raises(InputError, match=rf"{name}, line {line}: RuntimeError"):
+        load_user_detector(path, None)
+
+
+def test_a_syntax_error_of_another_file_names_the_line_that_imports_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "a_broken_library.py").write_text("\n" * 8 + "def broken(:\n")
+    (tmp_path / "mine.py").write_text("import torch\nimport a_broken_library\n")
+    with pytest.raises(InputError, match=r"mine\.py, line 2: SyntaxError.*a_broken_library\.py, line 9"):
+        load_user_detector(tmp_path / "mine.py", None)
+
+
 def test_a_file_that_changes_is_another_one(tmp_path: Path) -> None:
     """The file changes within a second and at the same length, so that compiled files would hide the change."""
     path = tmp_path / "mine.py"

@@ -177,6 +177,8 @@ def test_unusable_sweeps_are_one_clear_line(attacked: Path, held_out: Path, tmp_
         tuned(attacked, out, "recipe.steps=7")
     with pytest.raises(InputError, match=r"recipe\.anchor_size_m= means nothing with finetune="):
         tuned(attacked, out, "recipe.anchor_size_m=6,2.4,2.2")
+    with pytest.raises(InputError, match=r"recipe\.mesh_only_steps= means nothing with finetune="):
+        tuned(attacked, out, "recipe.mesh_only_steps=1")
     with pytest.raises(InputError, match="steps=0 tunes nothing"):
         tuned(attacked, out, "steps=0", f"start_from={SHIPPED}")
     set_stable(attacked, {"suv": False, "coupe": False})

@@ -268,9 +268,17 @@ def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:
     assert read.sensor_height_m == 1.73
 
 
-def test_scenes_of_another_program_are_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_scene_of_the_cache_is_named(tmp_path: Path) -> None:
+    (file,) = cache_scenes(tmp_path, ["5"], _scene)
+    file.write_bytes(file.read_bytes()[:5000])
+    with pytest.raises(InputError, match=r"5\.npz: .*Remove the file"):
+        VehicleDatabase.of([file], TINY.min_points)
+
+
+@pytest.mark.parametrize("part", ["/scenes/street/raycast.py", "/attack/objective.py", "/finetuning/tune.py"])
+def test_scenes_of_another_program_are_built_again(part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache_scenes(tmp_path / "scenes", ["5"], lambda _: _scene("4"))  # like the file of an earlier program
-    read, part = Path.read_bytes, "/scenes/street/raycast.py"
+    read = Path.read_bytes
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(part))
     monkeypatch.setattr("shift3d.store.user_cache.source_digest", source_digest.__wrapped__)
     monkeypatch.setattr("shift3d.training.detector_scenes.program_digest", program_digest.__wrapped__, raising=False)

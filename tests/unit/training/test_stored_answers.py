@@ -66,6 +66,17 @@ def test_a_file_that_is_no_answer_is_named(tmp_path: Path, content: bytes) -> No
         list(stored_or_detected(NAMES, tmp_path, _detect))
 
 
+@pytest.mark.parametrize(("place", "bit"), [(10, 0x20), (8, 0x01)], ids=["another packing", "encrypted"])
+def test_a_flipped_bit_in_a_header_is_named_too(place: int, bit: int, tmp_path: Path) -> None:
+    file = tmp_path / "small-0.npz"
+    write_scene_detections(file, next(_detect(NAMES)))
+    content = bytearray(file.read_bytes())
+    content[content.rindex(b"PK\x01\x02") + place] ^= bit
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=r"small-0\.npz"):
+        list(stored_or_detected(NAMES, tmp_path, _detect))
+
+
 def test_what_was_detected_in_other_files_is_detected_again(tmp_path: Path) -> None:
     states = dict.fromkeys(NAMES, "first")
     requested: list[str] = []

@@ -137,11 +137,25 @@ def test_subnormal_numbers_are_after_a_training_as_before(flushed: bool, rate: f
     assert bool(torch.tensor([1e-310], dtype=torch.float64) * 1.0 > 0.0) is not flushed
 
 
-def test_a_folder_of_other_scenes_is_refused(tmp_path: Path) -> None:
+def test_a_folder_of_other_scenes_or_another_start_is_refused(tmp_path: Path) -> None:
     files = cache_scenes(tmp_path / "scenes", ["0"], _scene)
     train_on_scenes(tmp_path / "out", TINY, files, stop_after=1, data="kitti-1")
-    with pytest.raises(InputError, match="another set of scenes"):
+    with pytest.raises(InputError, match="another set of scenes, or from other weights"):
         train_on_scenes(tmp_path / "out", TINY, files, data="kitti-2")
+
+
+def test_a_training_without_a_step_computes_the_statistics_and_states_its_facts(tmp_path: Path) -> None:
+    recipe = dataclasses.replace(TINY, steps=0, mesh_only_steps=0, settle_steps=0)
+    scenes, weights = KittiScenes(_kitti(tmp_path)), tmp_path / "out" / "pointpillars.safetensors"
+    train_detector(tmp_path / "out", recipe, scenes=scenes)
+    before = weights.read_bytes()
+    facts = json.loads(weights.with_suffix(".json").read_text())
+    assert (facts["steps"], facts["curve"]) == (0, [])
+    found = load_file(weights)
+    fresh = recipe.new_network().state_dict()
+    assert not torch.equal(found["pillar_net.norm.running_var"], fresh["pillar_net.norm.running_var"])
+    train_detector(tmp_path / "out", recipe, scenes=scenes)
+    assert weights.read_bytes() == before
 
 
 @each_detector
