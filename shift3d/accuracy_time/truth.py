@@ -27,7 +27,7 @@ from shift3d.detectors.base import Detector
 from shift3d.render.culling import object_rays
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
-from shift3d.store.arrays import write_arrays
+from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.task.assets import Assets
 from shift3d.task.scoring import detections_near
 
@@ -127,8 +127,8 @@ def write_truth(path: Path, truth: Truth) -> None:
 
 
 def read_truth(path: Path) -> Truth:
-    """Load the ground truth that `write_truth` stored."""
-    with np.load(path, allow_pickle=False) as arrays:
+    """Load the ground truth that `write_truth` stored. Raises: InputError: a damaged file."""
+    with read_arrays(path) as arrays:
 
         def tensor(shape: str, name: str) -> Tensor:
             return torch.from_numpy(arrays[f"{shape}.{name}"])

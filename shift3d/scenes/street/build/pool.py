@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.scenes.street.raycast import Intersector
 from shift3d.seeding import generator
-from shift3d.store.arrays import write_arrays
+from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.user_cache import program_digest, user_cache
 
 _SOURCES = ("vehicles", "seeding.py", "scenes/street/build/pool.py")
@@ -83,9 +82,9 @@ def _cached_mesh(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[
     """Load the mesh from the user's cache folder, or build and cache it."""
     path = cache_folder() / f"{split}-{number:03d}.npz"
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with read_arrays(path) as stored:
             return stored["vertices"], stored["faces"], str(stored["body_type"])
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except InputError:
         vertices, faces, body_type = _build(split, number)
         with contextlib.suppress(InputError, OSError):  # works without a cache if the folder is not writable
             write_arrays(path, vertices=vertices, faces=faces, body_type=np.array(body_type))
