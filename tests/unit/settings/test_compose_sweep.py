@@ -190,6 +190,7 @@ def test_configuration_names_no_code() -> None:
         (["mode=shap,pose"], "unknown mode 'shap'. Did you mean 'shape'?"),
         (["accuracy=standart"], "Did you mean 'standard'?"),
         (["runner.workers=1,2"], "cannot be an axis"),
+        (["runner.cpus_per_worker=0.00001"], "input should be greater than or equal to 0.0001"),
         (["runner=rey"], "Did you mean 'ray'?"),
         (["scenes=kitti"], "scenes.root is required. Add scenes.root=VALUE"),
         (["vehicle=deepsdf", "vehicle.name=a"], "vehicle.folder is required. Add vehicle.folder=VALUE"),
