@@ -12,7 +12,7 @@ from shift3d.settings import messages
 from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import Values
 from shift3d.settings.schema.config import AccuracyConfig, Config
-from shift3d.settings.schema.records import Count, NonNegativeInt, Positive, Record
+from shift3d.settings.schema.records import Count, NonNegativeFloat, NonNegativeInt, Positive, Record
 
 _CROP = "crop_m"
 
@@ -36,7 +36,7 @@ class FrontierSettingConfig(Record):
     method: str
     preset: Literal["draft", "standard", "paper", "reference"]
     render: dict[str, bool | int | float | str] = Field(default={})
-    over: dict[str, Annotated[list[float], Field(min_length=1)]] = Field(default={}, max_length=1)
+    over: dict[str, Annotated[list[NonNegativeFloat], Field(min_length=1)]] = Field(default={}, max_length=1)
     detector: Literal["bfloat16", "float32", "float64"] | None = None
     crop_m: Positive | None = 8.0
     warm: Literal["no", "shape", "pose"] = "no"

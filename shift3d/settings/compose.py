@@ -79,7 +79,8 @@ def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) ->
     base.pop(_SMALL, None)
     _refuse_interpolations(base, where)
     axes = []
-    for key, texts in axis_texts.items():
+    for written, texts in axis_texts.items():
+        key = written.lstrip("+")
         is_group = any(folder.is_dir() for folder in places(f"conf/{key}"))
         if is_group:
             rest = [text for text in first if not text.startswith(f"{key}=")]
@@ -172,11 +173,16 @@ class _Groups:
 
 
 def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], list[str]]:
-    """Split parsed overrides into (axis key to texts, fixed overrides). A later override of a key wins."""
+    """Split parsed overrides into (axis key to texts, fixed overrides). A later override of a key wins.
+
+    The key of an axis keeps the + or ++ with which Hydra adds a setting.
+    """
     axes: dict[str, list[str]] = {}
     fixed: dict[str, str] = {}
     for override in parsed:
         key = override.get_key_element()
+        bare = key.lstrip("+")
+        written = next((other for other in (*axes, *fixed) if other.lstrip("+") == bare), key)
         if override.is_delete():
             raise InputError(f"{override.input_line}: a setting cannot be removed", where, "Set it instead")
         if override.is_sweep_override():
@@ -186,12 +192,12 @@ def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], lis
             if getattr(override.value(), "shuffle", False):
                 remedy = "List its values: another order at every call would be another sweep"
                 raise InputError(f"{key} has a shuffled axis ({override.input_line})", where=where, remedy=remedy)
-            fixed.pop(key, None)
-            axes[key] = list(override.sweep_string_iterator())
+            fixed = {other: line for other, line in fixed.items() if other.lstrip("+") != bare}
+            axes[written] = list(override.sweep_string_iterator())
             continue
         _check_options(key, override, where)
-        if key in axes:
-            axes[key] = [override.get_value_element_as_str()]
+        if written in axes:
+            axes[written] = [override.get_value_element_as_str()]
         else:
             fixed[key] = override.input_line
     empty = [key for key, texts in axes.items() if not texts]

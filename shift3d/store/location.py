@@ -147,7 +147,7 @@ class LocalLocation(Location):
         return f"{state.st_size}-{state.st_ctime_ns}"
 
     def names(self) -> list[str]:
-        if not self.path.is_dir() and not self.path.exists():
+        if not self.path.exists():
             return []
         return sorted(entry.name for entry in self.path.iterdir() if not entry.name.startswith("."))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from shift3d.settings.renamed import renamed_error
 from shift3d.settings.schema.attack import AttackConfig
 from shift3d.settings.schema.config import AccuracyConfig, Config, NaturalnessConfig
 from shift3d.settings.schema.scenes import FramesConfig, scene_set
+from shift3d.store.resolve import as_location
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
@@ -204,8 +206,8 @@ def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[Sce
     if not isinstance(config.scenes, FramesConfig):
         return scene_entries(scenes, preview)
     entries, skipped = scene_entries(scenes, preview, config.scenes.skip_bad)
-    root = config.scenes.root.rstrip("/") + "/"
-    return entries, {name: why.replace(root, "") for name, why in skipped.items()}
+    root = re.compile(rf"(?<![\w./-]){re.escape(str(as_location(config.scenes.root)))}/")  # as error messages spell it
+    return entries, {name: root.sub("", why) for name, why in skipped.items()}
 
 
 class _VehicleHashes(Mapping[str, str]):

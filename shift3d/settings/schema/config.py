@@ -209,7 +209,7 @@ class RayRunnerConfig(Record):
     kind: Literal["ray"]
     workers: Count | None
     address: Text | None
-    cpus_per_worker: Positive
+    cpus_per_worker: Annotated[Positive, Field(ge=1e-4)]  # the smallest part of a CPU that Ray counts
     worker_memory_mb: Positive | None
     task_timeout_s: Positive | None
     batch_seconds: Positive
@@ -219,7 +219,8 @@ class RayRunnerConfig(Record):
 
     def workers_on(self, cpus: int) -> int:
         """Return the number of workers of a private Ray on a machine with `cpus` CPUs; at least one."""
-        return self.workers or max(1, int(cpus // self.cpus_per_worker))
+        # Ray counts ten-thousandths of a CPU; 2 // 0.1 is 19.
+        return self.workers or max(1, round(1e4 * cpus) // round(1e4 * self.cpus_per_worker))
 
 
 class LocalRunnerConfig(Record):

@@ -51,13 +51,16 @@ def choose_lambdas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
     """Choose lambda for every vehicle, by `RULE_KEYS`, from the scenes that were scored under every lambda.
 
     scored: rows with a score, `effects` as requested. Only the attacked detector's loss is used, since lambda belongs
-    to the search.
+    to the search. There is no choice without a scene that was scored under every lambda.
     """
     rows = _found(scored)
     rows = rows[(rows["mode"] != "pose") & rows["adversarial_loss"].notna()]
     chosen = {}
     for key, members in rows.groupby(list(RULE_KEYS), sort=False):
-        common = _common(members.pivot_table(index=_SCENE, columns="lambda", values="adversarial_loss", aggfunc="mean"))
+        losses = members.pivot_table(index=_SCENE, columns="lambda", values="adversarial_loss", aggfunc="mean")
+        common = losses.dropna()
+        if common.empty:
+            continue
         means = {float(weight): float(loss) for weight, loss in common.mean().items()}
         chosen[tuple(key)] = Choice(means, select_lambda(means), len(common))
     return chosen
@@ -67,7 +70,7 @@ def choose_alphas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
     """Choose alpha for shape and for pose, by (mode, detector, accuracy, search, effects).
 
     The AUC is the mean over vehicles, each with its chosen lambda under that alpha, over the scenes that were scored
-    under every alpha. Of equal AUCs the smaller alpha is chosen.
+    under every alpha; without such a scene there is no choice. Of equal AUCs the smaller alpha is chosen.
     """
     rows = _found(scored)
     rows = rows[rows["search"].str.startswith("descent")]  # only descent has step sizes of alpha
@@ -79,7 +82,9 @@ def choose_alphas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
     chosen = {}
     for key, members in rows[kept].groupby(list(_ALPHA_KEYS), sort=False):
         scores = members.pivot_table(index=["vehicle", *_SCENE], columns="alpha", values="score", aggfunc="mean")
-        common = _common(scores)
+        common = scores.dropna()
+        if common.empty:
+            continue
         means = {float(alpha): float(auc) for alpha, auc in common.groupby(level="vehicle").mean().mean().items()}
         best = min(means, key=lambda alpha: (means[alpha], alpha))
         chosen[tuple(key)] = Choice(means, best, len(common))
@@ -113,12 +118,6 @@ def _distinguished(
 
 def _found(scored: pd.DataFrame) -> pd.DataFrame:
     return scored[(scored["method"] == "adversarial") & (scored["scored_by"] == scored["detector"])]
-
-
-def _common(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows with values in all columns; all rows if there are none."""
-    common = table.dropna()
-    return common if len(common) else table
 
 
 def _candidates(known: dict[str, Any], choice: Choice, why: str) -> list[dict[str, Any]]:

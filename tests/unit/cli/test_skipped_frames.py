@@ -10,6 +10,9 @@ import pytest
 import valid_frames
 
 from shift3d.cli.main import main
+from shift3d.settings.catalogue.reading import read_catalogue
+from shift3d.settings.compose import compose_sweep
+from shift3d.settings.expand import expand
 from shift3d.sweep.planning.folder import read_plan
 
 ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1", "attack.placement.attempts=1", "naturalness=none"]
@@ -70,6 +73,19 @@ def test_bad_frames_are_left_out_and_listed(root: Path, capsys: pytest.CaptureFi
     page = (root / "out" / "report.html").read_text()
     assert all(name in page for name in BAD) and "4 scenes left out" in page
     assert main(["sweep", *skip, "out=out"]) == 3, "the same command again is the same sweep"
+
+
+@pytest.mark.parametrize("spelled", ["./g", "g//", "g", "../{parent}/g"])
+def test_the_reasons_do_not_depend_on_how_the_folder_is_written(root: Path, spelled: str) -> None:
+    (root / "g").mkdir()
+    (root / "training").rename(root / "g" / "training")
+    catalogues = []
+    for folder in (str(root / "g"), spelled.format(parent=root.name)):
+        settings = words(Path("any"), f"scenes.root={folder}", "scenes.skip_bad=true")[2:]
+        (config,) = expand(compose_sweep("kitti", settings))
+        catalogues.append(read_catalogue(config, preview=True).skipped)
+    assert catalogues[0] == catalogues[1] and catalogues[0].keys() == BAD.keys()
+    assert all(why.startswith("training/") for why in catalogues[1].values())
 
 
 def test_ids_do_not_depend_on_it(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

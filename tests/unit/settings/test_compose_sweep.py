@@ -76,6 +76,23 @@ def test_an_override_wins_over_the_option_that_it_belongs_to() -> None:
     assert {config.attack.noise_replicates for config in configs} == {2, 10}
 
 
+@pytest.mark.parametrize("plus", ["+", "++"])
+def test_an_added_setting_can_be_an_axis(plus: str) -> None:
+    key = "detector.other_weights.openpcdet"
+    added = ["detector.scored_by=[openpcdet]", "+detector.config=file", f"{plus}{key}=a,b"]
+    composed = compose_sweep("default", [*ONE, *added])
+    assert composed.axes[-1].key == key
+    assert [config.detector.other_weights["openpcdet"] for config in expand(composed)] == ["a", "b"]
+    (config,) = expand(compose_sweep("default", [*ONE, *added, f"{key}=c"]))
+    assert config.detector.other_weights["openpcdet"] == "c"
+
+
+def test_a_later_override_with_plus_signs_replaces_an_axis() -> None:
+    for last, values in (("3", {3}), ("3,4", {3, 4})):
+        configs = expand(compose_sweep("default", [*ONE, "attack.lambda=1,2", f"++attack.lambda={last}"]))
+        assert {config.attack.lambda_ for config in configs} == values
+
+
 # accuracy_time is measured by `shift3d frontier`, see test_frontier_config.
 @pytest.mark.parametrize("name", [name for name in files("sweeps") if name != "accuracy_time"])
 def test_every_sweep_is_valid(name: str) -> None:
@@ -173,6 +190,7 @@ def test_configuration_names_no_code() -> None:
         (["mode=shap,pose"], "unknown mode 'shap'. Did you mean 'shape'?"),
         (["accuracy=standart"], "Did you mean 'standard'?"),
         (["runner.workers=1,2"], "cannot be an axis"),
+        (["runner.cpus_per_worker=0.00001"], "input should be greater than or equal to 0.0001"),
         (["runner=rey"], "Did you mean 'ray'?"),
         (["scenes=kitti"], "scenes.root is required. Add scenes.root=VALUE"),
         (["vehicle=deepsdf", "vehicle.name=a"], "vehicle.folder is required. Add vehicle.folder=VALUE"),

@@ -185,6 +185,8 @@ def test_whole_numbers_are_given_over_a_setting_that_counts() -> None:
         ({"name": "draft", "preset": "draft", "gradient": "pose"}, "preset's name"),
         ({"preset": "standart"}, "Did you mean 'standard'"),
         ({"crop_m": 0.0}, "greater than 0"),
+        ({"name": "step {} m", "over": {"step_m": [float("inf")]}}, "input should be a finite number"),
+        ({"name": "step {} m", "over": {"step_m": [float("nan")]}}, "input should be a finite number"),
     ],
 )
 def test_what_cannot_be_measured_is_said_in_one_line(changes: dict[str, Any], message: str) -> None:

@@ -89,6 +89,13 @@ def test_scenes_that_one_candidate_lacks_count_for_none() -> None:
     assert found[0.01].found == {1.0: pytest.approx(1.0), 10.0: pytest.approx(1.03)} and found[0.01].tasks == 1
 
 
+def test_there_is_no_choice_between_candidates_of_different_scenes() -> None:
+    rows = [scored(0.01, 1.0, 0.4, 0.2, "s0"), scored(0.01, 10.0, 0.5, 0.9, "s1")]
+    assert choice_rows(pd.DataFrame(rows), "s", {40}) == []
+    rows = [scored(alpha, None, 0.3, 1.0, scene, mode="pose") for alpha, scene in ((0.1, "s0"), (0.01, "s1"))]
+    assert choice_rows(pd.DataFrame(rows), "s", {40}) == []
+
+
 def test_who_else_scores_has_no_say() -> None:
     rows = [*GRID, *(row | {"scored_by": "sst", "adversarial_loss": 0.0, "score": 0.0} for row in GRID[1:2])]
     assert choose_lambdas(pd.DataFrame(rows)).keys() == choose_lambdas(pd.DataFrame(GRID)).keys()

@@ -109,6 +109,15 @@ def test_starts_fail_by_a_defect_or_because_their_machine_went_away(text: str, f
     assert (ends[2] is not None) == fatal
 
 
+@pytest.mark.parametrize(
+    ("share", "workers"), [(0.1, 20), (0.2, 10), (0.05, 40), (0.3, 6), (0.66667, 2), (1e-4, 20_000)]
+)
+def test_workers_share_a_cpu_in_the_parts_that_ray_counts(share: float, workers: int) -> None:
+    assert worker_capacity([node(2, 10_000)], cpus=share, memory_mb=1) == workers
+    runner = config(f"runner.cpus_per_worker={share}")
+    assert isinstance(runner, RayRunnerConfig) and runner.workers_on(2) == workers
+
+
 def test_no_cpus_no_worker() -> None:
     assert worker_capacity([node(0, 64), node(0.5, 64)], cpus=1, memory_mb=1024) == 0
 

@@ -31,7 +31,8 @@ def worker_capacity(nodes: list[dict[str, Any]], cpus: float, memory_mb: float, 
     still allowed on a machine with the CPUs. If the settings state the memory, Ray itself reserves it.
     """
     alive = [node["Resources"] for node in nodes if node["Alive"]]
-    by_cpu = [int(resources.get("CPU", 0) // cpus) for resources in alive]
+    # Ray counts ten-thousandths of a CPU; 2 // 0.1 is 19.
+    by_cpu: list[int] = [round(1e4 * resources.get("CPU", 0)) // round(1e4 * cpus) for resources in alive]
     by_memory = [int(resources.get("memory", 0) // (memory_mb * 2**20)) for resources in alive]
     return max(sum(map(min, by_cpu, by_memory)), min(1, sum(by_cpu)) if estimated else 0)
 
