@@ -94,7 +94,7 @@ def fit_ground(
 ) -> GroundPlane | None:
     """Fit a plane to the ground returns within radius_m of a position; return None if too little ground is visible.
 
-    The fit starts with returns within 0.6 m of the nominal height, plus 3 cm per metre of distance, as ground may slope.
+    The fit starts with returns within 0.6 m of the nominal height, plus 3 cm per metre of distance (ground may slope).
     It refits to returns in a narrower band each time, which excludes walls and poles. It returns None for returns along
     a single scan line, which do not determine the slope across the line, and for a slope above `MAX_SLOPE`.
 
