@@ -53,14 +53,14 @@ def descend_expectation(
     trials = SearchEvaluator(problem, search)
     if starts > 1:
         search = _select_best_start(trials, problem, search, starts, rng, family)
-    variable, at_start = trials.held, starts > 1 and trials.held is trials.variables[0]
+    variable = trials.held
     steps = max(0, (evaluations - (starts - 1)) // placements)
     mean, square = torch.zeros_like(variable, dtype=torch.float64), torch.zeros_like(variable, dtype=torch.float64)
     # Without further starts the baseline is the first step of the descent.
     moves = steps if starts == 1 else steps - 1
     for move in range(moves + 1):
         shifts = [_shift(rng) for _ in range(placements - 1)]
-        gradient = trials.evaluate(variable, move < moves, shifts, again=at_start and move == 0)
+        gradient = trials.evaluate(variable, move < moves, shifts)
         if gradient is None:
             break
         direction, mean, square = _adam(gradient.double(), mean, square, move)

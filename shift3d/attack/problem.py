@@ -47,9 +47,6 @@ class AttackProblem:
         theta0: (6,) float64 start pose. code0: (d,) start code, dtype of the decoder.
         constraints, settings: see their classes.
         travel_m: largest distance that the object may move.
-        kept_share: share of `constraints.min_object_points` that must remain during an attack. The constraint excludes
-            objects that the scene hides; a shape that shrinks or a pose that moves away loses points without being
-            hidden. Our choice: the paper is silent.
         others: (M, 2) centres of the scene's own vehicles, from which the object keeps clear.
         space: `SdfGrid.of` the field of code0, if available: renderings of code0 get cheaper.
         effects: changes of beams beyond their first hit; None: no effects, as in the paper.
@@ -67,7 +64,6 @@ class AttackProblem:
     constraints: Constraints = PAPER_CONSTRAINTS
     settings: RenderSettings = STANDARD
     travel_m: float = 4.0
-    kept_share: float = 0.5
     others: Tensor | None = None
     space: SdfGrid | None = None
     effects: EffectChain | None = None
@@ -87,8 +83,12 @@ class AttackProblem:
 
     @property
     def limits(self) -> Constraints:
-        """Constraints that hold during an attack."""
-        kept = math.ceil(self.kept_share * self.constraints.min_object_points)  # rounded up: one return stays one
+        """Constraints that hold during an attack: half of the points must remain.
+
+        `constraints.min_object_points` excludes objects that the scene hides; a shape that shrinks or a pose that moves
+        away loses points without being hidden. Our choice: the paper is silent.
+        """
+        kept = math.ceil(0.5 * self.constraints.min_object_points)  # rounded up: one return stays one
         return replace(self.constraints, min_object_points=kept)
 
     def sdf_grid_for(self, code: Tensor) -> SdfGrid | None:

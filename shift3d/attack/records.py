@@ -20,9 +20,9 @@ class StepRecord:
     in the gradient that leads from this step to the next; None if no gradient was taken (last step). least_slope:
     smallest |e . grad g| of this step's hits, infinite if no gradient was taken. non_finite: NaN and infinities among
     the moved points, the proposals, the loss and the gradient; 0 by construction. within_budget: False for a shape
-    beyond the budget of naturalness, see `trials.Search.natural`. is_start: True for the start, also if it is evaluated
-    again because the best of several starts is the start itself. milliseconds: by stage (placement, render, detector,
-    constraints, backward, naturalness), summed over all places in the mean loss.
+    beyond the budget of naturalness, see `trials.Search.natural`. is_start: True for step 0, and whenever its object is
+    evaluated again. milliseconds: by stage (placement, render, detector, constraints, backward, naturalness), summed
+    over all places in the mean loss.
     """
 
     step: int

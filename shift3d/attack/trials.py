@@ -107,15 +107,13 @@ class SearchEvaluator:
         self._places = [OtherPlace(problem, lambda code: problem.theta0), *search.elsewhere]
         self._warm: list[WarmStart | None] = [None] * len(self._places)
 
-    def evaluate(
-        self, variable: Tensor, with_gradient: bool, shifts: Sequence[Tensor] = (), again: bool = False
-    ) -> Tensor | None:
+    def evaluate(self, variable: Tensor, with_gradient: bool, shifts: Sequence[Tensor] = ()) -> Tensor | None:
         """Evaluate a variable and record it as the next step; returns the gradient of the loss, None if not asked for.
 
         shifts: changes of the pose, (6,) each; loss and gradient are the mean over the pose, its shifts, and the
-        search's other places. The validity of the step is that of the unshifted pose, which is measured first. again:
-        the variable is the start, evaluated again where a descent begins; it is no solution. A loss that does not
-        depend on the variable (no hit, no overlapping proposal) has the gradient 0.
+        search's other places. The validity of the step is that of the unshifted pose, which is measured first. The
+        first object, evaluated again, is no solution. A loss that does not depend on the variable (no hit, no
+        overlapping proposal) has the gradient 0.
         """
         variable = variable.detach().clone().requires_grad_(self._differentiable)
         start = time.perf_counter()
@@ -140,11 +138,10 @@ class SearchEvaluator:
                 gradient = part if gradient is None else gradient + part
                 spent["backward"] += part_ms
         assert first is not None
-        record = replace(self._record(code, theta, losses, gradient, first, spent), is_start=again or not self.trace)
-        record = self._with_budget(record, code, variable)
+        self._tried.append((self._problem.vehicle, code.detach().clone(), theta.detach().clone()))
+        record = self._with_budget(self._record(code, theta, losses, gradient, first, spent), code, variable)
         self.trace.append(record)
         self.variables.append(variable.detach())
-        self._tried.append((self._problem.vehicle, code.detach().clone(), theta.detach().clone()))
         if self._on_step is not None:
             self._on_step(record)
         return gradient
@@ -181,7 +178,7 @@ class SearchEvaluator:
         measured: Measurement,
         spent: Mapping[str, float],
     ) -> StepRecord:
-        rendering = measured.rendering
+        rendering, (start, tried) = measured.rendering, (self._tried[0], self._tried[-1])
         loss = torch.stack([loss.detach() for loss in losses]).mean() if len(losses) > 1 else losses[0].detach()
         return StepRecord(
             step=len(self.trace),
@@ -198,6 +195,7 @@ class SearchEvaluator:
             least_slope=rendering.grazing.least_slope,
             non_finite=measured.non_finite
             + sum(count_non_finite(part) for part in (loss, gradient) if part is not None),
+            is_start=tried[0] is start[0] and all(map(torch.equal, tried[1:], start[1:])),
             milliseconds=dict(spent),
         )
 

@@ -94,9 +94,9 @@ def fit_ground(
 ) -> GroundPlane | None:
     """Fit a plane to the ground returns within radius_m of a position; return None if too little ground is visible.
 
-    The fit starts with returns within 0.6 m of the nominal height and refits to returns in a narrower band each time,
-    which excludes walls and poles. It returns None for returns along a single scan line, which do not determine the
-    slope across the line, and for a slope above `MAX_SLOPE`.
+    The fit starts with returns within 0.6 m of the nominal height, plus 3 cm per metre of distance (ground may slope).
+    It refits to returns in a narrower band each time, which excludes walls and poles. It returns None for returns along
+    a single scan line, which do not determine the slope across the line, and for a slope above `MAX_SLOPE`.
 
     Args:
         points: (N, 3) returns, scene frame.
@@ -108,9 +108,7 @@ def fit_ground(
     offset = points[:, :2] - np.asarray(centre_xy)
     near = np.einsum("ij,ij->i", offset, offset) <= radius_m**2
     xy, z = offset[near], points[near, 2]
-    # On a slope the ground deviates from its nominal height with distance.
-    tolerance_m = 0.6 + 0.03 * math.hypot(*centre_xy)
-    keep = np.abs(z - nominal_z_m) < tolerance_m
+    keep = np.abs(z - nominal_z_m) < 0.6 + 0.03 * math.hypot(*centre_xy)
     if keep.sum() < _MIN_POINTS:
         return None
     low = np.quantile(z[keep], 0.2)

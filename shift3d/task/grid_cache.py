@@ -53,10 +53,11 @@ def _grid(tensors: dict[str, torch.Tensor]) -> SdfGrid:
 
 
 def _make_room(folder: Path) -> None:
-    """Delete the oldest files beyond the limit; other processes may do so at the same time."""
+    """Delete the oldest files beyond the limit, unless another process is quicker or this user may not delete them."""
     written: dict[Path, float] = {}
     for file in folder.glob("[!.]*"):
         with contextlib.suppress(FileNotFoundError):
             written[file] = file.stat().st_mtime
     for file in sorted(written, key=written.__getitem__)[:-FILES_KEPT]:
-        file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            file.unlink()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from shift3d.attack.objective import object_box
 from shift3d.errors import InputError
-from shift3d.geometry.se3 import object_from_scene, scene_from_object
+from shift3d.geometry.se3 import scene_from_object
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.kitti.writing import frame_files, velodyne_bytes
 from shift3d.scenes.scene import Scene
@@ -68,7 +68,7 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     rendered = render_solution(spec, solution, assets)
     theta, code, rendering = rendered.theta, rendered.code, rendered.rendering
     mesh = vehicle_mesh(vehicle, assets.decoder, code.float())
-    own_box = _mesh_box(mesh, theta)
+    own_box, own_frame = _mesh_box(mesh, theta), _in_gltf_axes(mesh)
     mesh.vertices = scene_from_object(torch.from_numpy(np.array(mesh.vertices)), theta).numpy()
     kept = slice(None) if rendering.returned is None else rendering.returned.numpy()
     hits, points = rendering.hit_mask.numpy()[kept], rendering.points.numpy()[kept]
@@ -81,7 +81,7 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
         "scene.ply": _exported(_coloured(points, hits), "ply"),
         "hit_mask.npy": _npy_bytes(hits),
         "object.ply": _exported(mesh, "ply"),
-        "object.glb": _exported(_in_gltf_axes(mesh, theta), "glb"),
+        "object.glb": _exported(own_frame, "glb"),
         "box.json": _box_json(spec, solution, object_box(theta, vehicle.size_m, 0.0), own_box, int(hits.sum())),
         "boxes.json": _boxes_json(boxes, classes, scene.ground_z_m),
         **{f"{_KITTI}/{path}": content for path, content in frame.items()},
@@ -107,11 +107,10 @@ def _coloured(points: NDArray[np.float32], hits: NDArray[np.bool_]) -> trimesh.P
     return trimesh.PointCloud(points, colours)
 
 
-def _in_gltf_axes(mesh: trimesh.Trimesh, theta: torch.Tensor) -> trimesh.Trimesh:
-    """Transform a mesh from the sensor frame to the vehicle's own frame, with y up and z forward."""
-    vertices = object_from_scene(torch.from_numpy(np.array(mesh.vertices)), theta).numpy()
+def _in_gltf_axes(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return a mesh of the vehicle's own frame with y up and z forward."""
     # A cyclic permutation of the axes is no reflection, so faces keep their orientation.
-    return trimesh.Trimesh(vertices[:, [1, 2, 0]], mesh.faces, process=False)
+    return trimesh.Trimesh(np.asarray(mesh.vertices)[:, [1, 2, 0]], mesh.faces, process=False)
 
 
 def _mesh_box(mesh: trimesh.Trimesh, theta: torch.Tensor) -> NDArray[np.float64]:

@@ -12,10 +12,12 @@ from toy_detector import WaveDetector
 
 from shift3d.attack import baselines
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
+from shift3d.attack.expectation import descend_expectation
 from shift3d.attack.loop import descend
 from shift3d.attack.pose import PoseLimits, attack_pose, pose_search, project
 from shift3d.attack.problem import AttackProblem, measure
-from shift3d.attack.shape import attack_shape, on_ground
+from shift3d.attack.shape import attack_shape, on_ground, shape_search
+from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import NoPlacement, Placement, PlacementContext, PlacementLimits, format_refusals, place
 from shift3d.render import Beams, SdfGrid, preset
@@ -118,6 +120,24 @@ def test_lambda_holds_the_shape_back(problem: AttackProblem) -> None:
     free = attack_shape(problem, 0.0, alpha=0.02, steps=5)
     held = attack_shape(problem, 20.0, alpha=0.02, steps=5)
     assert 0 < float(held.latent_code.norm()) < float(free.latent_code.norm())
+
+
+class BlindDetector(WaveDetector):
+    """Detector without proposals, like a user's that drops low scores: the loss is 0 and has no gradient."""
+
+    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
+        found = super().proposals(points, window)
+        return Proposals(found.boxes[:0], found.logits[:0], found.anchor_index[:0])
+
+
+@pytest.mark.parametrize("search", ["descent", "expectation"])
+def test_a_search_that_never_leaves_the_unchanged_vehicle_has_no_solution(problem: AttackProblem, search: str) -> None:
+    blind, rng = replace(problem, detector=BlindDetector()), np.random.default_rng(0)
+    shape = shape_search(blind, 1.0)
+    mean = search == "expectation"
+    found = descend_expectation(blind, shape, 2, 0.1, rng, 1) if mean else descend(blind, shape, 2, 0.01)
+    assert [step.loss for step in found.trace] == [0.0] * 3 and found.best.valid
+    assert (found.best_step, found.status) == (0, "no_valid_step") and torch.equal(found.latent_code, CODE)
 
 
 def test_ascending_would_raise_the_loss(problem: AttackProblem) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.reading import read_catalogue
 from shift3d.settings.compose import compose_sweep
@@ -111,6 +112,20 @@ def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_
     assert tree(tmp_path / "lost") == tree(tmp_path / "whole"), "a scene without its background is frozen once more"
     assert resumed.suite.digest == whole.suite.digest
     assert tree(tmp_path / "killed") == tree(tmp_path / "whole")
+
+
+def test_a_suite_killed_after_its_last_scene_is_not_said_to_have_existed(
+    sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def killed(*_: object) -> bytes:
+        raise Killed
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(freezing, "manifest_bytes", killed)
+        freeze_suite(sweep, tmp_path, SelectionRule())
+    assert main(["suite", str(sweep), f"to={tmp_path}"]) == 0 and (tmp_path / "suite.json").is_file()
+    printed = capsys.readouterr().out
+    assert "no object was scored again" in printed and "nothing was written" not in printed
 
 
 def test_referenced_frames_are_made_again_and_must_be_the_same(

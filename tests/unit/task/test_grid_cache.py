@@ -111,6 +111,15 @@ def test_the_oldest_make_room(cache: Path, monkeypatch: pytest.MonkeyPatch) -> N
         kept(never, vehicle="a")
 
 
+def test_what_cannot_be_deleted_stays_and_stops_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shift3d.task.grid_cache.FILES_KEPT", 1)
+    old = cache / "old"  # a folder stands for the file of another user, which unlink refuses too
+    old.mkdir(parents=True)
+    os.utime(old, (0, 0))
+    grid = some_grid()
+    assert kept(lambda: grid) is grid and equal(kept(never), grid) and old.is_dir()
+
+
 def test_another_worker_reads_the_grid_of_a_shipped_vehicle(assets: Assets, monkeypatch: pytest.MonkeyPatch) -> None:
     one, two = (dataclasses.replace(assets, _sdf_grids=OrderedDict()) for _ in range(2))
     made = one.sdf_grid_of(make_spec(), STANDARD)

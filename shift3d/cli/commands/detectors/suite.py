@@ -60,7 +60,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if frozen.unverified:
         print(f"not verified: {counted(frozen.unverified, 'hard object')}; shift3d verify {arguments.out}")
     if frozen.largest_difference is None:
-        print("the suite existed already: nothing was written")
+        print("no object was scored again: the suite or all its scenes were there already")
     else:
         print(f"scored again: at most {frozen.largest_difference:.1e} off the sweep's scores")
     return 0
