@@ -80,6 +80,16 @@ def test_the_mesh_of_such_a_vehicle_fills_its_box(folder: Path) -> None:
     assert mesh.volume > 0
 
 
+def test_a_shape_too_small_for_its_length_is_named(folder: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    codes = torch.load(copy / "LatentCodes" / "latest.pth", weights_only=True)
+    codes["latent_codes"]["weight"][0, 0] = -5.0  # half as long: 20 m are 0.9 units
+    torch.save(codes, copy / "LatentCodes" / "latest.pth")
+    assert DeepSdfVehicles(copy, length_m=17.0).vehicle("van_1").size_m[0] == pytest.approx(17.0, abs=0.01)
+    with pytest.raises(InputError, match=r"copy, van_1: .*0\.9 long.*scale_m 22\.\d+ is above 20.*vehicle\.length_m"):
+        DeepSdfVehicles(copy, length_m=20.0).vehicle("van_1")
+
+
 def test_lengths_by_the_beginning_of_a_name(folder: Path) -> None:
     source = DeepSdfVehicles(folder, length_m={"default": 4.0, "van": 5.0, "van_2": 5.5})
     assert [source.vehicle(name).size_m[0] for name in NAMES] == pytest.approx([5.0, 5.5, 4.0], abs=2e-3)
