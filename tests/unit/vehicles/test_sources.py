@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
 
 from shift3d.errors import InputError
+from shift3d.sdf.decoder import load_decoder, save_decoder
 from shift3d.vehicles import vehicle as vehicle_module
 from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
 from shift3d.vehicles.sources import VehicleSet, space_hash, vehicle_hash, vehicle_set_folder
@@ -150,6 +153,35 @@ def test_the_shipped_vehicles_are_a_set_like_any_other(tmp_path: Path) -> None:
     (tmp_path / "sdf.safetensors").unlink()
     with pytest.raises(InputError, match=r"sdf\.safetensors: no such file"):
         own.decoder_hash()
+
+
+def test_a_box_that_contradicts_the_decoded_shape_is_refused(tmp_path: Path) -> None:
+    for name in ("vehicles.safetensors", "sdf.safetensors"):
+        shutil.copy(DEFAULT_VEHICLES.parent / name, tmp_path / name)
+    VehicleSet(tmp_path).check_size("suv")
+    file = tmp_path / "vehicles.safetensors"
+    with safe_open(str(file), framework="np") as opened:
+        metadata = dict(opened.metadata())
+    tensors, before = load_file(file), json.loads(metadata["baselines"])["suv"]
+
+    def check(**changed: list[float]) -> None:
+        facts = json.dumps(json.loads(metadata["baselines"]) | {"suv": before | changed})
+        save_file(tensors, file, metadata=metadata | {"baselines": facts})
+        VehicleSet(tmp_path).check_size("suv")
+
+    length, width, height = before["size_m"]
+    check(size_m=[length + 0.04, width - 0.04, height])  # each face is 2 cm off, within a node spacing of 4 cm
+    for size in ([length + 0.1, width, height], [length, width, height - 0.1]):
+        with pytest.raises(InputError, match=r"vehicles\.safetensors: 'suv': .*ends 0\.05 m off its box of size_m"):
+            check(size_m=size)
+    with pytest.raises(InputError, match=r"ends 0\.2\d m off its box"):
+        check(sdf_t_object=[0.0, 0.0, before["sdf_t_object"][2] + 0.1])
+    other = load_decoder()
+    with torch.no_grad():
+        list(other.parameters())[-1].fill_(0.5)  # half the unit sphere away from any surface
+    save_decoder(other, tmp_path / "sdf.safetensors")
+    with pytest.raises(InputError, match=r"'suv': its code decodes to no surface.*sdf\.safetensors of these vehicles"):
+        check()
 
 
 def test_a_real_car_stands_on_its_wheels_nose_first(
