@@ -116,10 +116,11 @@ class Assets:
         return {name: self.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
 
     def vehicle(self, spec: TaskSpec) -> Vehicle:
-        """Return a task's vehicle. Raises: InputError: an unknown vehicle, or one that differs from the plan."""
+        """Return a task's vehicle. Raises: InputError: unknown, not as planned, or of another size than its shape."""
         name = spec.vehicle
         vehicle = self.vehicles.vehicle(name)
         if name not in self._vehicle_hashes:
+            self.vehicles.check_size(name)
             self._vehicle_hashes[name] = vehicle_hash(vehicle)
         require_planned_hash(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
         return vehicle

@@ -15,7 +15,7 @@ from shift3d.errors import InputError
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.parameter_box import ParameterBox
 from shift3d.vehicles.sources import VehicleSource, known
-from shift3d.vehicles.vehicle import Vehicle, centred_vehicle, decoded_corners
+from shift3d.vehicles.vehicle import LARGEST_SCALE_M, Vehicle, centred_vehicle, decoded_corners
 
 # A plan needs names and hashes only, so the decoder modules are imported where a vehicle is decoded.
 if TYPE_CHECKING:
@@ -130,6 +130,10 @@ class DeepSdfVehicles(VehicleSource):
         low, high = decoded_corners(code, self._scaled, sdf_R_object)
         frame.check_direction(high - low, f"{self._folder}, {name}", "vehicle.")
         scale_m = round(float(frame.length_m / (high - low)[0]), 4)
+        if scale_m > LARGEST_SCALE_M:
+            what = f"its shape is {(high - low)[0]:.2g} long in the unit sphere: scale_m {scale_m:g} is above"
+            remedy = "Give a shorter vehicle.length_m, or a checkpoint whose shapes fill the sphere"
+            raise InputError(f"{what} {LARGEST_SCALE_M:g}", f"{self._folder}, {name}", remedy)
         return centred_vehicle(name, code, scale_m, sdf_R_object, low, high)
 
     def _frame_of(self, name: str) -> MeshFrame:

@@ -74,8 +74,9 @@ def fit_meshes(
 ) -> list[MeshFit]:
     """Fit a code to every mesh at a path and write the vehicle set, with a picture of each mesh beside its fit.
 
-    ``out``/kept caches the fit of each mesh. A repeated call fits only the meshes whose cache entry is missing or
-    damaged, or whose file, decoder or program version has changed. The result is the same with and without a kill.
+    ``out``/kept caches the fit of each mesh, or the reason why it was refused; a mesh that is given alone is not cached
+    if it is refused. A repeated call fits only the meshes whose cache entry is missing or damaged, or whose file,
+    decoder or program version has changed. The result is the same with and without a kill.
 
     Args:
         path: a mesh, or a folder (`find_meshes`). frame: orientation and scale of the meshes.
@@ -97,15 +98,18 @@ def fit_meshes(
     def kept(file: MeshFile) -> Path:
         return folder / KEPT / digest_of(file, file.sha256(), *made_with)
 
-    record, fits = TypeAdapter(MeshFit), dict[MeshFile, tuple[MeshFit, bytes]]()
+    outcomes = TypeAdapter[MeshFit | str](MeshFit | str)  # str: why a mesh was refused
+    fits, refused = dict[MeshFile, tuple[MeshFit, bytes]](), dict[MeshFile, str]()
     for file in files:
         with contextlib.suppress(InputError):  # the fit below reports the error
             if content := read_cached(kept(file)):
                 text, _, picture = content.partition(b"\n")
-                fits[file] = record.validate_python(json.loads(text)), picture
-    refused: dict[str, str] = {}
-    left = [file for file in files if file not in fits]
-    shown = {"total": len(files), "initial": len(fits), "disable": len(files) == 1}
+                if isinstance(outcome := outcomes.validate_python(json.loads(text)), MeshFit):
+                    fits[file] = outcome, picture
+                elif len(files) > 1:
+                    refused[file] = outcome
+    left = [file for file in files if file not in fits and file not in refused]
+    shown = {"total": len(files), "initial": len(fits) + len(refused), "disable": len(files) == 1}
     bar = progress_bar(left, desc="fitting meshes", unit="mesh", **shown)
 
     def say(text: str) -> None:
@@ -115,20 +119,25 @@ def fit_meshes(
         else:
             bar.set_postfix_str(text, refresh=sys.stderr.isatty())
 
+    for why in refused.values():
+        bar.write(f"left out: {why}")
     for file in bar:
+        place = None
         try:
             place = kept(file)  # before the fit reads the file: a file that changes meanwhile is fitted again
             fit, picture = fits[file] = _fit(file, frame, decoder, steps, say)
         except InputError as error:
             if len(files) == 1:
                 raise
-            refused[str(file.path)] = str(error)
+            refused[file] = str(error)
             bar.write(f"left out: {error}")
+            if place is not None:  # the file can be read, so that a change of it shows
+                write_cached(place, json.dumps(refused[file]).encode() + b"\n")
             continue
-        # Not the adapter's own JSON: it is UTF-8, which a file name need not be.
+        # Not pydantic's JSON: it is UTF-8, which a file name need not be.
         write_cached(place, json.dumps(asdict(fit)).encode() + b"\n" + picture)
     if not fits:
-        first = next(iter(refused.values()))
+        first = refused[files[0]]
         raise InputError(f"none of {len(files)} meshes can be used", str(path), f"Repair them, as the first: {first}")
     found = [fits[file] for file in files if file in fits]
     provenance = {
@@ -138,7 +147,7 @@ def fit_meshes(
         "points_a_step": POINTS_A_STEP,
         "frame": asdict(frame),
         "vehicles": [fit.facts for fit, _ in found],
-        "refused": refused,
+        "refused": {str(file.path): refused[file] for file in files if file in refused},
     }
     for fit, picture in found:
         write_atomic(folder / fit.picture, picture)

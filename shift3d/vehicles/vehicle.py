@@ -31,6 +31,9 @@ SIDES_M = (0.01, 0.5, LENGTH_M[1])
 """Smallest side; smallest and largest longest side. Wide enough for the dot or plate that a bad code decodes to."""
 LONGEST_SIDE_RADII = (0.2, 4.0)
 """Range of a vehicle's longest side in radii of the decoder's unit sphere; the shipped vehicles have 1.8 to 1.9."""
+LARGEST_SCALE_M = LENGTH_M[1]
+"""Largest scale: the longest vehicle fills half of its unit sphere. Checking the box of a shape takes 4 s at a scale of
+10 m, half a minute at 20 m, and grows with the cube of the scale."""
 LARGEST = 100.0  # absolute value in a tensor: codes in the decoder's unit, lengths in metres
 MEASURED_RESOLUTION = 129
 """Grid nodes per axis of the unit sphere's cube for measuring a vehicle's box; 257 nodes give the same to 2 mm."""
@@ -109,6 +112,8 @@ def _checked(vehicle: Vehicle, source: Path) -> Vehicle:
         wrong = f"size_m {vehicle.size_m} is no vehicle's"
     elif not LONGEST_SIDE_RADII[0] * vehicle.scale_m <= size.max() <= LONGEST_SIDE_RADII[1] * vehicle.scale_m:
         wrong = f"scale_m {vehicle.scale_m:g} does not fit a vehicle of {size.max():g} m"
+    elif vehicle.scale_m > LARGEST_SCALE_M:
+        wrong = f"scale_m {vehicle.scale_m:g} is above {LARGEST_SCALE_M:g}"
     elif rotation.shape != (3, 3) or not np.abs(rotation).max() <= 1.1:
         wrong = "sdf_R_object is no matrix of three unit vectors"
     elif not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-4:

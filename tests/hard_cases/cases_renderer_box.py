@@ -11,15 +11,18 @@ import torch
 from analytic_fields import box, car, ground_scan, sphere, union
 from catalogue import hard_case
 from hard_scenes import (
+    AT_TEN,
     FAST,
     FEW,
     MANY,
     PAPER,
     PLAIN,
     PRESETS,
+    BentLine,
     beams_along_x,
     draw,
     hit_at,
+    in_plain,
     pose,
     sound,
     unmoved,
@@ -27,7 +30,7 @@ from hard_scenes import (
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render import Beams
+from shift3d.render import Beams, Rendering, SdfGrid, render
 
 
 @hard_case(
@@ -103,6 +106,37 @@ def a_sensor_inside_the_object() -> None:
         for count in (FEW, MANY):
             beams = beams_along_x(start_x=10.0, count=count)
             unmoved(draw(beams, sphere(1.0), settings=settings), beams, unresolved=count)
+
+
+@hard_case(
+    area="renderer",
+    why="a sensor touches the surface: its distance is below the tolerance of a root, and a root there has range zero",
+    must="outside and on the surface each beam hits, inside each is unresolved: with every solver, warm, and on a grid",
+    guard="the sign of the field at the sensor decides, never the size of the distance",
+)
+def a_sensor_at_the_surface() -> None:
+    wall = box((1.0, 0.8, 0.7))
+    grid = SdfGrid.of(in_plain(wall), PLAIN, FAST)
+    for gap in (1e-6, 1e-7, 1e-9, 0.0, -1e-9, -1e-7, -1e-6):
+        for count in (FEW, MANY):
+            beams = beams_along_x(start_x=9.0 - gap, count=count)
+            before = draw(beams, wall, pose(10.0 + 1e-4).requires_grad_(), frame=PLAIN)
+            drawn = [draw(beams, wall, settings=settings, frame=PLAIN) for settings in PRESETS.values()]
+            drawn.append(draw(beams, wall, frame=PLAIN, space=grid))
+            drawn.append(draw(beams, wall, AT_TEN.clone().requires_grad_(), warm=before.warm, frame=PLAIN))
+            line = BentLine(8.0, [(-8.0, -1.0)])  # the half-space beyond x = 10
+            surface = beams_along_x(start_x=10.0 - gap, count=count)
+            for rendering in [*drawn, draw_network(surface, line)]:
+                if gap < 0:
+                    assert not rendering.hit_mask.any() and rendering.unresolved_beams == count
+                else:
+                    hit_at(rendering, gap, 1.1 * FAST.tolerance_m)
+
+
+def draw_network(beams: Beams, line: BentLine) -> Rendering:
+    """Return the reference rendering of a network whose origin is at x = 10: the traversal of its linear regions."""
+    with torch.no_grad():
+        return render(beams, line, AT_TEN, PLAIN, PRESETS["reference"])
 
 
 @hard_case(

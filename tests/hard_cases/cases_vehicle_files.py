@@ -218,6 +218,20 @@ def a_vehicle_of_another_scale_than_its_size() -> None:
 
 @hard_case(
     area=AREA,
+    why="a lorry in units of 60 m: a box checked every 45 cm in the decoder's sphere takes ten million evaluations",
+    must="an error that names the file and the vehicle",
+    guard="the scale is at most the length of the longest vehicle",
+)
+def a_vehicle_that_is_small_in_its_sphere() -> None:
+    def lorry(scale_m: float) -> Callable[[dict[str, Any], object], None]:
+        return lambda facts, _: facts.update(scale_m=scale_m, size_m=[18.0, 2.5, 3.2])
+
+    refused(lambda: with_facts(lorry(60.0)), VEHICLES, "suv", "scale_m 60 is above 20")
+    assert with_facts(lorry(20.0))["suv"].scale_m == 20.0
+
+
+@hard_case(
+    area=AREA,
     why="one NaN in a code makes every value of the field NaN, and NaN is no surface: the vehicle would vanish",
     must="an error that names the file and the tensor",
     guard="the tensor's values must all lie below a limit, which NaN does not",

@@ -24,7 +24,7 @@ Finds the latent code whose decoded shape fits each mesh best, with the shipped 
 vehicle set to out=: vehicles.safetensors, its decoder sdf.safetensors, sdf.json (the repairs, and the distance of each
 decoded shape from its mesh in centimetres) and pictures/ (each mesh beside its decoded shape). Warns if a mesh fits
 better in another orientation, and if a vehicle is far from its mesh (exit code 3). The same command resumes: DIR/kept
-holds every fitted mesh, and vehicles.safetensors is written last."""
+holds every fitted or refused mesh, and vehicles.safetensors is written last."""
 
 _EPILOG = f"""\
 examples:

@@ -40,13 +40,19 @@ def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
 
 
 def column(table: pa.Table, name: str, dtype: type[np.generic], file: Location) -> NDArray[Any]:
-    """Return one numeric column (rows,), cast to a dtype. Raises InputError: it is not numeric, or has gaps."""
+    """Return one numeric column (rows,), cast to a dtype.
+
+    Raises InputError: it is not numeric, has gaps, or holds a value that is no integer where the dtype is one.
+    """
     found = table[name]
     number = pa.types.is_integer(found.type) or pa.types.is_floating(found.type)
     if found.null_count or not number:
         raise InputError(f"column {name} has gaps or is no numbers", str(file), _AGAIN)
-    values: NDArray[Any] = found.to_numpy().astype(dtype)
-    return values
+    values: NDArray[Any] = found.to_numpy()
+    # A NaN compares false. Fractions are truncated: a firing time in another unit has its own error.
+    if np.issubdtype(dtype, np.integer) and not (np.abs(values) < 2.0**63).all():
+        raise InputError(f"column {name} has values that are NaN or no integers of 64 bits", str(file), _AGAIN)
+    return values.astype(dtype)
 
 
 def poses(table: pa.Table, file: Location) -> NDArray[np.float64]:

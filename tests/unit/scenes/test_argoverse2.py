@@ -128,6 +128,16 @@ def scaled(name: str, factor: float) -> Callable[[pa.Table], pa.Table]:
     return change
 
 
+def first_of(name: str, value: float) -> Callable[[pa.Table], pa.Table]:
+    """Return a change that puts a value into the first row of a column, which becomes a column of floats."""
+
+    def change(table: pa.Table) -> pa.Table:
+        values = table[name].to_numpy().astype(np.float64)
+        return table.set_column(table.column_names.index(name), name, pa.array([value, *values[1:]]))
+
+    return change
+
+
 def cut(part: str) -> Spoil:
     return lambda log: (log / part).write_bytes((log / part).read_bytes()[:-40])
 
@@ -186,6 +196,16 @@ def centimetres(table: pa.Table) -> pa.Table:
         *((misnamed(p, n), rf"{p}.*Feather.*utf") for p, n in ((SWEEP, b"offset_ns"), (MOUNTS, b"sensor_name"))),
         (rewrite(BOXES, as_text), r"annotations\.feather: column timestamp_ns has gaps or is no numbers"),
         (rewrite(BOXES, scaled("timestamp_ns", 0.5)), r"annotations\.feather: it annotates no sweep of the log"),
+        *(
+            (rewrite(part, first_of(name, value)), rf"{part}: column {name} has values that are NaN")
+            for part, name in (
+                (POSES, "timestamp_ns"),
+                (BOXES, "timestamp_ns"),
+                (SWEEP, "offset_ns"),
+                (SWEEP, "laser_number"),
+            )
+            for value in (float("nan"), float("inf"), -1e19)
+        ),
         (rewrite(BOXES, scaled("length_m", 0.0)), r"annotations\.feather, sweep .*dx = 0"),
         (rewrite(BOXES, scaled("tz_m", float("nan"))), r"annotations\.feather.*finite translation"),
     ],

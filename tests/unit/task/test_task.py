@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
+import shutil
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from shift3d.errors import InputError
 from shift3d.placement.constraints import ConstraintCheck
 from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig
+from shift3d.store.arrays import write_safetensors
 from shift3d.store.tables import table_from_rows
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
@@ -23,7 +26,7 @@ from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
 from shift3d.task.spec import AttackSpec, PlacementSpec
 from shift3d.vehicles.sources import vehicle_hash
-from shift3d.vehicles.vehicle import baseline_vehicles
+from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, baseline_vehicles, read_tensors
 
 
 def test_every_method_is_reported_once(shape: TaskResult, pose: TaskResult) -> None:
@@ -126,6 +129,18 @@ def test_content_that_changed_after_planning_is_refused(assets: Assets) -> None:
     for what in ("decoder", "pointpillars"):
         with pytest.raises(InputError, match=rf"{what}: changed after the sweep was planned"):
             load_assets(AssetsSpec(scenes=STREET, hashes={what: "another"}))
+
+
+def test_a_vehicle_whose_box_contradicts_its_shape_is_refused(tmp_path: Path) -> None:
+    shutil.copy(DEFAULT_VEHICLES.parent / "sdf.safetensors", tmp_path)
+    tensors, metadata, _ = read_tensors(None)
+    baselines = json.loads(metadata["baselines"])
+    baselines["suv"]["size_m"][2] += 0.2
+    write_safetensors(tmp_path / "vehicles.safetensors", tensors, metadata | {"baselines": json.dumps(baselines)})
+    folder = {"kind": "set", "folder": str(tmp_path)}
+    own = load_assets(AssetsSpec(scenes=STREET, detectors={}, vehicles=folder))
+    with pytest.raises(InputError, match=r"vehicles\.safetensors: 'suv': its decoded shape ends 0\.10 m off its box"):
+        run_task(make_spec(), own)
 
 
 def with_second_detector(assets: Assets, name: str) -> Assets:

@@ -145,14 +145,54 @@ def test_a_killed_fit_keeps_each_mesh_and_ends_as_one_that_was_not(
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     left = contents(out)
-    assert len(left) == 1 and all(name.startswith("kept/") for name in left), "nothing that a sweep would take"
+    assert left and all(name.startswith("kept/") for name in left), "nothing that a sweep would take"
     code = main([*words, f"out={out}"])
-    assert " 1/3 " in capsys.readouterr().err
+    assert f" {len(left)}/3 " in capsys.readouterr().err
     assert left.items() <= contents(out).items(), "what was kept is not fitted again"
     resumed = {name: content for name, (_, content) in contents(out).items()}
     assert main([*words, f"out={tmp_path / 'whole'}"]) == code
     assert {name: content for name, (_, content) in contents(tmp_path / "whole").items()} == resumed
-    assert VehicleSet(out).names() == ["a", "b"] and len(resumed) == 2 + 2 + 3
+    assert VehicleSet(out).names() == ["a", "b"] and len(resumed) == 3 + 2 + 3
+
+
+def test_a_refused_mesh_is_not_searched_again_until_it_changes(
+    tmp_path: Path, coarse: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    meshes, out = tmp_path / "meshes", tmp_path / "set"
+    meshes.mkdir()
+    trimesh.creation.box((2.0, 1.5, 4.0)).export(meshes / "a.ply")
+    trimesh.creation.box((200.0, 150.0, 400.0)).export(meshes / "b.ply")
+    (meshes / "c.ply").write_text("none")
+    words = ["fit", str(meshes), "unit=m", "steps=1", f"out={out}"]
+
+    def searched() -> tuple[int, list[str], dict[str, str]]:
+        """Run the fit. Returns the number of meshes that it searched, the lines about refused ones, their reasons."""
+        before = contents(out / "kept")
+        main(words)
+        lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("left out")]
+        facts = json.loads((out / "sdf.json").read_text())
+        return len(contents(out / "kept").items() - before.items()), lines, facts["refused"]
+
+    first, lines, reasons = searched()
+    assert first == 3 and list(reasons) == [str(meshes / "b.ply"), str(meshes / "c.ply")]
+    assert lines == [f"left out: {reason}" for reason in reasons.values()]
+    assert searched() == (0, lines, reasons)
+    trimesh.creation.box((200.0, 150.0, 300.0)).export(meshes / "b.ply")
+    again, _, changed = searched()
+    assert again == 1 and list(changed) == list(reasons) and "300 m long" in changed[str(meshes / "b.ply")]
+    trimesh.creation.box((2.0, 1.5, 4.5)).export(meshes / "b.ply")
+    assert searched()[0] == 1 and VehicleSet(out).names() == ["a", "b"]
+
+
+def test_a_folder_of_refused_meshes_says_so_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in "ab":
+        (tmp_path / f"{name}.ply").write_text("none")
+    for _ in range(2):
+        assert main(["fit", str(tmp_path), "unit=m", f"out={tmp_path / 'set'}"]) == 2
+        assert "none of 2 meshes can be used" in capsys.readouterr().err
+    for _ in range(2):  # alone, although the folder's fit refused it
+        assert main(["fit", str(tmp_path / "a.ply"), "unit=m", f"out={tmp_path / 'set'}"]) == 2
+        assert "a.ply: not a readable PLY" in capsys.readouterr().err
 
 
 def test_a_file_name_that_is_no_utf_8_is_kept_like_any_other(

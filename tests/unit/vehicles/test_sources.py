@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
 
 from shift3d.errors import InputError
+from shift3d.sdf.decoder import load_decoder, save_decoder
 from shift3d.vehicles import vehicle as vehicle_module
 from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
 from shift3d.vehicles.sources import VehicleSet, space_hash, vehicle_hash, vehicle_set_folder
@@ -80,6 +83,16 @@ def test_the_mesh_of_such_a_vehicle_fills_its_box(folder: Path) -> None:
     assert mesh.volume > 0
 
 
+def test_a_shape_too_small_for_its_length_is_named(folder: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    codes = torch.load(copy / "LatentCodes" / "latest.pth", weights_only=True)
+    codes["latent_codes"]["weight"][0, 0] = -5.0  # half as long: 20 m are 0.9 units
+    torch.save(codes, copy / "LatentCodes" / "latest.pth")
+    assert DeepSdfVehicles(copy, length_m=17.0).vehicle("van_1").size_m[0] == pytest.approx(17.0, abs=0.01)
+    with pytest.raises(InputError, match=r"copy, van_1: .*0\.9 long.*scale_m 22\.\d+ is above 20.*vehicle\.length_m"):
+        DeepSdfVehicles(copy, length_m=20.0).vehicle("van_1")
+
+
 def test_lengths_by_the_beginning_of_a_name(folder: Path) -> None:
     source = DeepSdfVehicles(folder, length_m={"default": 4.0, "van": 5.0, "van_2": 5.5})
     assert [source.vehicle(name).size_m[0] for name in NAMES] == pytest.approx([5.0, 5.5, 4.0], abs=2e-3)
@@ -140,6 +153,35 @@ def test_the_shipped_vehicles_are_a_set_like_any_other(tmp_path: Path) -> None:
     (tmp_path / "sdf.safetensors").unlink()
     with pytest.raises(InputError, match=r"sdf\.safetensors: no such file"):
         own.decoder_hash()
+
+
+def test_a_box_that_contradicts_the_decoded_shape_is_refused(tmp_path: Path) -> None:
+    for name in ("vehicles.safetensors", "sdf.safetensors"):
+        shutil.copy(DEFAULT_VEHICLES.parent / name, tmp_path / name)
+    VehicleSet(tmp_path).check_size("suv")
+    file = tmp_path / "vehicles.safetensors"
+    with safe_open(str(file), framework="np") as opened:
+        metadata = dict(opened.metadata())
+    tensors, before = load_file(file), json.loads(metadata["baselines"])["suv"]
+
+    def check(**changed: list[float]) -> None:
+        facts = json.dumps(json.loads(metadata["baselines"]) | {"suv": before | changed})
+        save_file(tensors, file, metadata=metadata | {"baselines": facts})
+        VehicleSet(tmp_path).check_size("suv")
+
+    length, width, height = before["size_m"]
+    check(size_m=[length + 0.04, width - 0.04, height])  # each face is 2 cm off, within a node spacing of 4 cm
+    for size in ([length + 0.1, width, height], [length, width, height - 0.1]):
+        with pytest.raises(InputError, match=r"vehicles\.safetensors: 'suv': .*ends 0\.05 m off its box of size_m"):
+            check(size_m=size)
+    with pytest.raises(InputError, match=r"ends 0\.2\d m off its box"):
+        check(sdf_t_object=[0.0, 0.0, before["sdf_t_object"][2] + 0.1])
+    other = load_decoder()
+    with torch.no_grad():
+        list(other.parameters())[-1].fill_(0.5)  # half the unit sphere away from any surface
+    save_decoder(other, tmp_path / "sdf.safetensors")
+    with pytest.raises(InputError, match=r"'suv': its code decodes to no surface.*sdf\.safetensors of these vehicles"):
+        check()
 
 
 def test_a_real_car_stands_on_its_wheels_nose_first(

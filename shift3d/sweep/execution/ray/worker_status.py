@@ -36,7 +36,8 @@ class WorkerStatus:
 
 
 class WorkerStatusFile:
-    """Status file of this process. On Linux (memfd) the file disappears with the process.
+    """Status file of this process. On Linux (memfd) the file disappears with the process; on other systems it
+    stays in the folder of temporary files, since Ray ends workers without their finalizers.
 
     Attributes:
         path: name for other processes of this user on this machine.
