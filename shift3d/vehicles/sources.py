@@ -54,8 +54,8 @@ class VehicleSource(Protocol):
         ...
 
     def check_size(self, name: str) -> None:
-        """Raise InputError if a vehicle's box contradicts its decoded shape. By default nothing is checked: most sources
-        measure the box."""
+        """Raise InputError if a vehicle's box contradicts its decoded shape. A source that measured the box checks
+        nothing."""
         return
 
     def codes(self) -> NDArray[np.float32]:
