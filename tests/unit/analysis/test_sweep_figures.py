@@ -17,6 +17,8 @@ from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.table import Table
 from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.planning.tasks import PlannedTask
+from shift3d.sweep.planning.tasks_builder import tasks_of
 from shift3d.sweep.results.final import write_final
 
 ROOT = Path(__file__).parents[3]
@@ -150,13 +152,15 @@ def test_a_rule_is_written_with_what_it_takes_in_each_group(sweep: Sweep) -> Non
     """Vehicles over 2 m score 0.4 less, in every scene and for every vehicle."""
     row = sweep.scores[sweep.scores["score"].notna()].iloc[0].to_dict() | {"method": "baseline", "mode": "shape"}
     row |= {"detector": row["scored_by"]}
-    tall = [(f"v{v}", f"s{s}", r, r % 2) for v in range(4) for s in range(8) for r in range(4)]
-    objects = [row | {"vehicle": v, "scene": s, "replicate": r, "task_id": f"{v}{s}"} for v, s, r, _ in tall]
+    spec = sweep.plan.tasks[0].spec
+    specs = [dataclasses.replace(spec, vehicle=f"v{v}", scene=f"s{s}") for v in range(4) for s in range(8)]
+    tall = [({"task_id": one.task_id, "replicate": r}, one, r % 2) for one in specs for r in range(4)]
+    objects = [row | known | {"vehicle": one.vehicle, "scene": one.scene} for known, one, _ in tall]
     scores = pd.DataFrame(objects).assign(score=[0.8 - 0.4 * t for *_, t in tall])
     sizes = {"length_m": 4.0, "width_m": 1.8, "clearance_m": 0.2, "method": "baseline"}
-    heights = [{"task_id": f"{v}{s}", "replicate": r, "height_m": 1.5 + t} for v, s, r, t in tall]
-    shapes = pd.DataFrame(heights).assign(**sizes)
-    plan = dataclasses.replace(sweep.plan, sweep="failure_rules")
+    shapes = pd.DataFrame([known | {"height_m": 1.5 + t} for known, _, t in tall]).assign(**sizes)
+    tasks = tasks_of(PlannedTask(one, 0, ("none",)) for one in specs)
+    plan = dataclasses.replace(sweep.plan, sweep="failure_rules", tasks=tasks)
     found = dict(_rules(dataclasses.replace(sweep, plan=plan, scores=scores, shapes=shapes)))
     values = {name: one["value"] for name, one in found.items() if name.startswith("rule/")}
     assert values["rule/height over 200 cm/other vehicles"] == pytest.approx(-0.4)
