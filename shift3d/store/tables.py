@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
@@ -34,11 +35,12 @@ def table_of(schema: pa.Schema, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     for row in rows:
         if not names.issuperset(row):
             raise ValueError(f"{name} has no column {sorted(set(row) - names)}")
-    columns = [_column(name, field, [_plain(row.get(field.name)) for row in rows]) for field in schema]
+    columns = [_column(name, field, [row.get(field.name) for row in rows]) for field in schema]
     return pa.Table.from_arrays(columns, schema=schema)
 
 
 def _column(name: str, field: pa.Field, values: list[Any]) -> pa.Array:
+    values = [value.item() if isinstance(value, np.generic) else value for value in values]
     if not field.nullable and any(value is None for value in values):
         raise ValueError(f"{name}.{field.name} is missing in row {values.index(None)}")
     try:
@@ -46,14 +48,10 @@ def _column(name: str, field: pa.Field, values: list[Any]) -> pa.Array:
     except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
         raise ValueError(f"{name}.{field.name}: {error}") from error
     if pa.types.is_floating(field.type):
-        bad = [value for value in values if value is not None and not np.isfinite(value)]
-        if bad:
+        bad = array.filter(pc.invert(pc.is_finite(array)))  # drops nulls
+        if len(bad):
             raise ValueError(f"{name}.{field.name} is {bad[0]}")
     return array
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def write_table(path: LocationLike, table: pa.Table) -> None:

@@ -243,8 +243,9 @@ def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, 
     known |= {"sweep": sweep, "lambda": spec.lambda_}
     found = {}
     for name, rows in vars(result).items():
-        own = {column: known[column] for column in SCHEMAS[name].names if column in known}
-        effects = {"effects": list(spec.effects)} if "effects" in SCHEMAS[name].names else {}
+        names = SCHEMAS[name].names if rows else ()  # Arrow builds a list at every access
+        own = {column: known[column] for column in names if column in known}
+        effects = {"effects": list(spec.effects)} if "effects" in names else {}
         found[name] = [effects | row | own for row in rows]
     return found
 
