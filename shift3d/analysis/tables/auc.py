@@ -57,9 +57,10 @@ def natural_search(scores: pd.DataFrame) -> str | None:
 
 
 def scenes_argument(datasets: set[str]) -> str:
-    """Return the argument of ``make sweep`` that selects a recorded data set; empty for streets or several sets."""
-    (name, *others) = datasets
-    return "" if others or name.startswith("street") else f' ARGS="scenes={name} scenes.root=PATH"'
+    """Return the argument of ``make sweep`` that selects the only recorded data set; empty for streets, several sets or
+    none."""
+    recorded = [name for name in datasets if not name.startswith("street")]
+    return f' ARGS="scenes={recorded[0]} scenes.root=PATH"' if len(recorded) == len(datasets) == 1 else ""
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:

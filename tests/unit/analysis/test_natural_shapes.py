@@ -17,7 +17,7 @@ from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import transfer_grid
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import ratio_interval
-from shift3d.analysis.tables.auc import auc_table, natural_search, natural_table
+from shift3d.analysis.tables.auc import auc_table, natural_search, natural_table, scenes_argument
 from shift3d.analysis.tables.paper import paper_table, paper_table_of
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import interval_text
@@ -234,3 +234,9 @@ def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -
     grid = table_from_rows("bev_transfer", cells).to_pandas()
     shown = blocks_html(transfer_grid(dataclasses.replace(sweep, bev_transfer=grid), found))
     assert "falls in 1 of 1 cells of 10 m" in shown and '"x-thin"' in shown and "+0.400" in shown
+
+
+def test_only_the_one_recorded_data_set_of_a_sweep_is_suggested() -> None:
+    assert scenes_argument({"waymo"}) == ' ARGS="scenes=waymo scenes.root=PATH"'
+    for several in ({"waymo", "kitti"}, {"street-hdl64"}, {"street-hdl64", "kitti"}, set()):
+        assert scenes_argument(several) == ""
