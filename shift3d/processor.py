@@ -14,6 +14,7 @@ __all__ = [
     "configure_runtime",
     "has_fast_bfloat16",
     "instructions",
+    "mixed_processors",
     "onednn_float32_is_faster",
     "pad_to_bucket",
     "rounding",
@@ -76,6 +77,14 @@ def instructions() -> str:
     import torch
 
     return f"{torch.backends.cpu.get_cpu_capability()} {'with' if has_fast_bfloat16() else 'without'} bfloat16"
+
+
+def mixed_processors(one: str, other: str) -> str:
+    """Return the line for a sweep on processors that round differently. one, other: "HOST computes with ..."."""
+    return (
+        f"{one}, {other}: their results differ in the last digits, so the tables depend on which machine runs which "
+        "task. For equal bytes, run the sweep on processors of one kind"
+    )
 
 
 @functools.cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,13 +9,11 @@ from typing import Any
 
 import pandas as pd
 
-from shift3d.errors import InputError
 from shift3d.scenes.sets import independent_group_of
-from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import read_final
-from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.planning.folder import read_environment, read_plan
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import Tasks
 
@@ -132,15 +129,4 @@ def read_sweep(folder: LocationLike) -> Sweep:
     plan, final = read_plan(folder), folder / "final"
     later = [name for name in (*_LATER, "verification") if (final / f"{name}.parquet").is_file()]
     tables = {name: read_final(folder, name).to_pandas() for name in (*_TABLES, *later)}
-    return sweep_of(plan, tables, _environment(folder / "env.json"))
-
-
-def _environment(path: Location) -> dict[str, Any]:
-    try:
-        values = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
-        what = f"cannot be read ({type(error).__name__})"
-        raise InputError(what, where=str(path), remedy="Restore it from a copy") from error
-    if not isinstance(values, dict):
-        raise InputError("is not what a sweep wrote", where=str(path), remedy="Restore it from a copy")
-    return values
+    return sweep_of(plan, tables, read_environment(folder))

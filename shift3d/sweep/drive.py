@@ -14,7 +14,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.processor import configure_runtime
+from shift3d.processor import configure_runtime, instructions, mixed_processors
+from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RunnerConfig
 from shift3d.signals import handle_stop_signals
 from shift3d.store.location import Location
@@ -26,7 +27,7 @@ from shift3d.sweep.execution.abort import AbortRule
 from shift3d.sweep.execution.progress import Progress
 from shift3d.sweep.execution.runner import Runner, make_runner
 from shift3d.sweep.execution.worker import BatchOutcome, completed_rows
-from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.folder import open_folder, read_environment
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.task_ids import read_task_scene
@@ -113,6 +114,8 @@ def run_sweep(
     status.write([], 0, "starting" if len(left) else "finished")
     came = 0
     if len(left):
+        if len(left) < len(plan.tasks) and not getattr(runner_config, "address", None):
+            _note_processor(folder)
         with (
             _runner(kind, plan, runner_config, left, _tried(log, plan, again), status) as runner,
             contextlib.closing(Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers)) as progress,
@@ -127,6 +130,15 @@ def run_sweep(
     seconds = time.monotonic() - began
     left_now = len(plan.tasks) - len(done) - (0 if again else len(quarantined))
     return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), left_now, seconds, reused, came)
+
+
+def _note_processor(folder: Location) -> None:
+    """Print one line if the sweep was begun on a processor that rounds otherwise than this one."""
+    begun, here = read_environment(folder).get("instructions"), instructions()
+    if begun and begun != here:
+        write_line(
+            mixed_processors(f"this processor computes with {here}", f"the one that began the sweep with {begun}")
+        )
 
 
 @contextlib.contextmanager

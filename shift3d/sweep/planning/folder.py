@@ -126,6 +126,22 @@ def _environment() -> dict[str, Any]:
     }
 
 
+def read_environment(folder: LocationLike) -> dict[str, Any]:
+    """Return the versions and the machine of the driver that began a sweep: the content of ``env.json``.
+
+    Raises: InputError: the file is absent or damaged.
+    """
+    path = as_location(folder) / "env.json"
+    try:
+        values = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        what = f"cannot be read ({type(error).__name__})"
+        raise InputError(what, where=str(path), remedy="Restore it from a copy") from error
+    if not isinstance(values, dict):
+        raise InputError("is not what a sweep wrote", where=str(path), remedy="Restore it from a copy")
+    return values
+
+
 def library_versions(names: Iterable[str]) -> dict[str, str]:
     """Return the versions installed on this machine, by name; "absent" for a missing library."""
     versions = {}

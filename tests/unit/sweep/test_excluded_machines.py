@@ -45,6 +45,7 @@ class Ray:
         self._starting = machines if starting is None else starting
         self._actors: dict[str, Any] = {}
         self.other: dict[str, dict[str, str]] = {}
+        self.processors: dict[str, str] = {}
         self._results: dict[Any, Any] = {}
         self.broken = ""
         self.ids: list[str] = []
@@ -87,9 +88,8 @@ class Ray:
 
     def _ready(self, machine: str) -> Any:
         if machine in self._starting:
-            return WorkerAddress(
-                machine, f"host-{machine}:1", 1, "", {**installed_versions(), **self.other.get(machine, {})}
-            )
+            versions = {**installed_versions(), **self.other.get(machine, {})}
+            return WorkerAddress(machine, f"host-{machine}:1", 1, "", versions, self.processors.get(machine, "AVX2"))
         return exceptions.ActorDiedError(ActorDiedErrorContext(error_message=DIED, actor_id=b"0" * 16))
 
     def _run(self, machine: str, positions: list[int]) -> BatchOutcome:
@@ -220,6 +220,22 @@ def test_a_machine_with_other_versions_is_left_out(monkeypatch: pytest.MonkeyPat
     ray.other["a"] = {"torch": "1.0"}
     found, _ = outcomes(ray, monkeypatch)
     assert str(found[-1].fatal).startswith("host-a: has torch 1.0, not ") and not ray.ran
+
+
+def test_a_mix_of_processors_is_named_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    ray = Ray("abc", mounted="abc")
+    ray.processors = {"b": "AVX512", "c": "AVX512"}
+    found, runner = outcomes(ray, monkeypatch, plan_of_scenes(12))
+    assert sum(len(outcome.done) for outcome in found) == 12 and not runner.left_out, "no machine is left out for it"
+    (line,) = capsys.readouterr().err.splitlines()
+    assert {"AVX2", "AVX512"} <= set(line.replace(",", " ").replace(":", " ").split()) and "one kind" in line
+
+
+def test_processors_of_one_kind_need_no_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outcomes(Ray("ab", mounted="ab"), monkeypatch)
+    assert capsys.readouterr().err == ""
 
 
 def test_another_build_is_another_version_and_a_source_tree_is_compared_with_none() -> None:

@@ -18,6 +18,7 @@ from shift3d.settings.schema.config import LocalRunnerConfig
 from shift3d.store.housekeeping import compact
 from shift3d.store.log import CommitLog
 from shift3d.sweep.drive import run_sweep
+from shift3d.sweep.planning.folder import read_environment
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.status import StatusWriter, read_status, status_lines
 
@@ -94,6 +95,21 @@ def test_a_driver_speaks_before_its_first_task(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no weights"):
         run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, unloadable, not_wanted), tmp_path)  # type: ignore[arg-type]
     assert ": stopped" in message(tmp_path)
+
+
+@pytest.mark.parametrize("begun", ["AVX0 without bfloat16", None])
+def test_a_sweep_that_another_processor_began_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], begun: str | None
+) -> None:
+    unfinished(tmp_path, "interrupted")
+    environment = read_environment(tmp_path)
+    if begun:
+        (tmp_path / "env.json").write_text(json.dumps(environment | {"instructions": begun}))
+    with pytest.raises(InputError, match="no weights"):
+        run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, unloadable, not_wanted), tmp_path)  # type: ignore[arg-type]
+    said = capsys.readouterr().err
+    assert ("the one that began the sweep with AVX0 without bfloat16" in said) == bool(begun)
+    assert ("this processor computes with" in said) == bool(begun)
 
 
 def test_a_process_that_has_the_number_of_a_dead_driver_is_not_the_driver(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from shift3d.errors import InputError
+from shift3d.processor import instructions
 from shift3d.sweep.execution.ray.shipped_files import ShippedFiles, with_local_files
 from shift3d.sweep.execution.ray.versions import installed_versions
 from shift3d.sweep.execution.ray.worker_status import WorkerStatusFile
@@ -39,7 +40,7 @@ def _load(load: Callable[[AssetsSpec], Any], spec: AssetsSpec, shipped: ShippedF
 class WorkerAddress:
     """Address of a ready worker. node_id: Ray's. process: host and process id. status_path: status file of `pid`.
 
-    versions: installed on its machine; None: the driver's.
+    versions: installed on its machine; None: the driver's. instructions: of its processor, see `processor`.
     """
 
     node_id: str
@@ -47,6 +48,7 @@ class WorkerAddress:
     pid: int
     status_path: str
     versions: Mapping[str, str] | None = None
+    instructions: str = ""
 
 
 class RayWorker:
@@ -77,9 +79,8 @@ class RayWorker:
 
         pid = os.getpid()
         node_id = ray.get_runtime_context().get_node_id()
-        return WorkerAddress(
-            node_id, f"{socket.gethostname()}:{pid}", pid, self._status_file.path, installed_versions()
-        )
+        process = f"{socket.gethostname()}:{pid}"
+        return WorkerAddress(node_id, process, pid, self._status_file.path, installed_versions(), instructions())
 
     def run(self, positions: Sequence[int], first_attempt: int) -> BatchOutcome:
         """See `Worker.run_batch`."""

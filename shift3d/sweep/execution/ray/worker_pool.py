@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from shift3d.errors import InputError
+from shift3d.processor import mixed_processors
 from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.connection import node_of
@@ -88,6 +89,7 @@ class WorkerPool:
         self._most = most
         self._starting: dict[Any, PooledWorker] = {}
         self._workers: list[PooledWorker] = []
+        self._processors: dict[str, str] = {}
         self._failed = 0
         self._looked = 0.0
         self.left_out = ExcludedMachines(ray, config.cpus_per_worker)
@@ -168,7 +170,15 @@ class WorkerPool:
         self._failed = 0
         self.left_out.started(worker.node_id)
         self._workers.append(worker)
+        self._note_processor(worker.host, where.instructions)
         return None
+
+    def _note_processor(self, host: str, instructions: str) -> None:
+        """Print one line for each kind of processor after the first."""
+        if self._processors and instructions not in self._processors:
+            other, first = next(iter(self._processors.items()))
+            write_line(mixed_processors(f"{host} computes with {instructions}", f"{first} with {other}"))
+        self._processors.setdefault(instructions, host)
 
     def _failed_start(self, worker: PooledWorker, why: str) -> InputError | None:
         remedy = "Install this shift3d on every machine"
