@@ -107,9 +107,9 @@ def test_a_sweep_that_another_processor_began_says_so(
         (tmp_path / "env.json").write_text(json.dumps(environment | {"instructions": begun}))
     with pytest.raises(InputError, match="no weights"):
         run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, unloadable, not_wanted), tmp_path)  # type: ignore[arg-type]
-    said = capsys.readouterr().err
-    assert ("the one that began the sweep with AVX0 without bfloat16" in said) == bool(begun)
-    assert ("this processor computes with" in said) == bool(begun)
+    printed = capsys.readouterr().err
+    assert ("the one that began the sweep with AVX0 without bfloat16" in printed) == bool(begun)
+    assert ("this processor computes with" in printed) == bool(begun)
 
 
 def test_a_process_that_has_the_number_of_a_dead_driver_is_not_the_driver(tmp_path: Path) -> None:
