@@ -8,7 +8,7 @@ from shift3d.sdf.decoder import Architecture, Decoder
 
 
 def octahedron_decoder(seed: int = 0) -> Decoder:
-    """Return a folded decoder g ~ tanh(0.5 (|x| + |y| + |z|) - 0.3), which every number of its code changes a little."""
+    """Return a folded decoder g ~ tanh(0.5 (|x| + |y| + |z|) - 0.3) that every number of a code changes a little."""
     torch.manual_seed(seed)
     decoder = Decoder(Architecture(width=264, hidden_layers=2, skip_layer=1)).folded()
     _, middle, last = decoder.layers
