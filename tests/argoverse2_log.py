@@ -61,18 +61,19 @@ def write_log(root: Path, sweeps: int = 2, labels: bool = True, counts: bool = T
 
 def _write_sweep(path: Path, timestamp: int, width: type) -> None:
     rng = np.random.default_rng(timestamp % 1000)
+    column, laser = np.repeat(np.arange(COLUMNS), 64), np.tile(np.arange(64), COLUMNS)
     azimuth = np.repeat(2.0 - 2 * np.pi * (np.arange(COLUMNS) + 0.5) / COLUMNS, 64)
-    laser = np.tile(np.arange(64), COLUMNS)
     up = np.deg2rad(np.where(laser < 32, 15.0 - 40.0 * laser / 31, -25.0 + 40.0 * (laser - 32) / 31))
     reach = rng.uniform(3.0, 90.0, len(laser))
     offset = np.repeat((np.arange(COLUMNS) + 0.5) / COLUMNS * PERIOD, 64).astype(np.int32)
     away = np.stack((np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)), axis=1)
     start = np.linalg.inv(city_SE3_ego(timestamp))
-    points = np.empty((len(laser), 3))
-    for row in range(len(laser)):
-        mount = np.array(UP if laser[row] < 32 else DOWN)
-        now = start @ city_SE3_ego(timestamp + int(offset[row]))
-        points[row] = now[:3, :3] @ mount + now[:3, 3] + reach[row] * away[row]
+    origins = np.empty((COLUMNS, 2, 3))
+    for number, fired in enumerate(offset[::64]):
+        now = start @ city_SE3_ego(timestamp + int(fired))
+        for head, mount in enumerate((UP, DOWN)):
+            origins[number, head] = now[:3, :3] @ np.array(mount) + now[:3, 3]
+    points = origins[column, (laser >= 32).astype(int)] + reach[:, None] * away
     table = pa.table(
         {
             **{name: points[:, i].astype(width) for i, name in enumerate("xyz")},

@@ -36,27 +36,29 @@ def wrapped(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, float, 
     Raises: InputError naming `where` when the inside floods at every width.
     """
     box_m3 = float(np.prod(np.ptp(mesh.vertices, axis=0)))
-    for seals_m in (SEAL_M, (LAST_SEAL_M,)):
-        surfaces = _closings(mesh, seals_m)
-        volume = [surface.volume if surface is not None else 0.0 for surface in surfaces]
-        if volume[-1] < FILLED_SHARE * box_m3:
+    for *narrower_m, widest_m in (SEAL_M, (LAST_SEAL_M,)):
+        away, low = _grid(mesh, widest_m)
+        surface, best_m = _closing(away, low, widest_m), widest_m
+        if surface is None or surface.volume < FILLED_SHARE * box_m3:
             continue
-        best = next(index for index, enclosed in enumerate(volume) if enclosed > UNFLOODED_SHARE * volume[-1])
-        surface = surfaces[best]
-        assert surface is not None
+        least_m3 = UNFLOODED_SHARE * surface.volume
+        for seal_m in narrower_m:
+            narrower = _closing(away, low, seal_m)
+            if narrower is not None and narrower.volume > least_m3:
+                surface, best_m = narrower, seal_m
+                break
         points, _ = trimesh.sample.sample_surface(surface, 5000, seed=np.random.default_rng(0))
-        return surface, seals_m[best], distance_to_surface(np.asarray(points), mesh)
+        return surface, best_m, distance_to_surface(np.asarray(points), mesh)
     what = f"the mesh encloses no solid, not even with gaps of {100 * LAST_SEAL_M:.0f} cm bridged"
     raise InputError(what, where=where, remedy="Close its holes by hand, or leave it out")
 
 
-def _closings(mesh: trimesh.Trimesh, seals_m: tuple[float, ...]) -> list[trimesh.Trimesh | None]:
-    """Return the closing for each gap width; all widths share one grid of distances."""
-    low = np.asarray(mesh.bounds[0]) - max(seals_m) - 2.0 * CELL_M
-    counts = np.ceil((np.asarray(mesh.bounds[1]) + max(seals_m) + 2.0 * CELL_M - low) / CELL_M)
+def _grid(mesh: trimesh.Trimesh, widest_m: float) -> tuple[Grid, NDArray[np.float64]]:
+    """Return the distances of a grid's nodes for closings up to a gap width, and the grid's lowest corner."""
+    low = np.asarray(mesh.bounds[0]) - widest_m - 2.0 * CELL_M
+    counts = np.ceil((np.asarray(mesh.bounds[1]) + widest_m + 2.0 * CELL_M - low) / CELL_M)
     counts = (-(-counts // COARSE) * COARSE + 1).astype(np.int64)
-    away = _distances(mesh, low, tuple(counts), max(seals_m) / 2.0 + 3.0 * CELL_M)
-    return [_closing(away, low, seal_m) for seal_m in seals_m]
+    return _distances(mesh, low, tuple(counts), widest_m / 2.0 + 3.0 * CELL_M), low
 
 
 def _distances(mesh: trimesh.Trimesh, low: NDArray[np.float64], counts: tuple[int, ...], reach_m: float) -> Grid:

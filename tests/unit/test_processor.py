@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import platform
@@ -14,8 +15,9 @@ import torch
 
 from shift3d.processor import usable_cpus
 
-# Prints the memory growth by 700 products of different sizes, configured or not, torch imported before or not.
-PRODUCTS = """
+# Prints the memory growth by 700 products of different sizes, the number of threads, and how much of a large tensor is
+# in large pages; configured or not, torch imported before or not.
+MEASURED = """
 import ctypes, json, os, sys
 early, configured = sys.argv[1] == "early", sys.argv[2] == "configured"
 if early:
@@ -32,83 +34,71 @@ def resident_mb():
     ctypes.CDLL(None).malloc_trim(0)  # as a worker does
     return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
-weight = torch.ones(256, 256)
-with torch.no_grad():
-    product(1)
-    before = resident_mb()
-    for rows in range(2, 702):
-        product(rows)
-print(json.dumps({"grown_mb": resident_mb() - before, "threads": torch.get_num_threads()}))
-"""
+def large_pages_kb():
+    lines = open("/proc/self/smaps_rollup").read().splitlines()
+    return int(next(line.split()[1] for line in lines if line.startswith("AnonHugePages")))
 
-# Prints how much of a large tensor is in large pages.
-PAGES = """
-import sys
-if sys.argv[1] == "early":
-    import torch
-from shift3d.processor import configure_runtime
-configure_runtime(1)
-import torch
 tensor = torch.ones(64 * 2**18)
-lines = open("/proc/self/smaps_rollup").read().splitlines()
-print(next(line.split()[1] for line in lines if line.startswith("AnonHugePages")))
+found = {"large_pages_kb": large_pages_kb(), "threads": torch.get_num_threads()}
+if sys.argv[3] == "products":
+    weight = torch.ones(256, 256)
+    with torch.no_grad():
+        product(1)
+        before = resident_mb()
+        for rows in range(2, 702):
+            product(rows)
+    found["grown_mb"] = resident_mb() - before
+print(json.dumps(found))
 """
 LARGE_PAGES = Path("/sys/kernel/mm/transparent_hugepage/enabled")
-
+ONEDNN = (
+    torch.backends.mkldnn.is_available()
+    and torch.backends.cpu.get_cpu_capability().startswith("AVX512")
+    and platform.libc_ver()[0] == "glibc"
+)
 takes_onednn = pytest.mark.skipif(
-    not (torch.backends.mkldnn.is_available() and torch.backends.cpu.get_cpu_capability().startswith("AVX512"))
-    or platform.libc_ver()[0] != "glibc",
-    reason="oneDNN is not used on this processor, or the allocator is not glibc's",
+    not ONEDNN, reason="oneDNN is not used on this processor, or the allocator is not glibc's"
 )
 
 
-def products(*how: str, **environment: str) -> dict[str, float]:
-    unset = {name: value for name, value in os.environ.items() if "CACHE_CAPACITY" not in name}
-    command = [sys.executable, "-c", PRODUCTS, *how]
-    done = subprocess.run(command, env=unset | environment, capture_output=True, text=True, check=True)
+@functools.cache
+def measured(imported: str, how: str, given: bool = False) -> dict[str, float]:
+    """Return what a process measures. given: its environment says how large caches and pages are."""
+    names = ("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "LRU_CACHE_CAPACITY", "THP_MEM_ALLOC_ENABLE")
+    environment = {name: value for name, value in os.environ.items() if name not in names}
+    environment |= dict(zip(names, ("1024", "1024", "0"), strict=True)) if given else {}
+    command = [sys.executable, "-c", MEASURED, imported, how, "products" if ONEDNN else ""]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     found: dict[str, float] = json.loads(done.stdout)
     return found
 
 
-@pytest.fixture(scope="module")
-def without() -> dict[str, float]:
-    """Memory growth of a process that was not configured: the time of importing torch makes no difference."""
-    return products("late", "as it is")
+def as_it_is() -> dict[str, float]:
+    """Return the values of a process that was not configured: the time of importing torch makes no difference."""
+    return measured("late", "as it is")
 
 
 @takes_onednn
 @pytest.mark.parametrize("torch_imported", ["early", "late"])
-def test_code_that_is_made_does_not_pile_up(torch_imported: str, without: dict[str, float]) -> None:
-    configured = products(torch_imported, "configured")
-    assert configured["grown_mb"] < 0.5 * without["grown_mb"], (configured, without)
+def test_code_that_is_made_does_not_pile_up(torch_imported: str) -> None:
+    configured = measured(torch_imported, "configured")
+    assert configured["grown_mb"] < 0.5 * as_it_is()["grown_mb"], (configured, as_it_is())
     assert configured["threads"] == 1
 
 
 @takes_onednn
-def test_what_the_environment_says_is_left_as_it_is(without: dict[str, float]) -> None:
-    settings = {"ONEDNN_PRIMITIVE_CACHE_CAPACITY": "1024", "LRU_CACHE_CAPACITY": "1024"}
-    assert products("late", "configured", **settings)["grown_mb"] > 0.8 * without["grown_mb"]
-
-
-def large_pages_kb(torch_imported: str, **environment: str) -> int:
-    unset = {name: value for name, value in os.environ.items() if name != "THP_MEM_ALLOC_ENABLE"}
-    command = [sys.executable, "-c", PAGES, torch_imported]
-    done = subprocess.run(command, env=unset | environment, capture_output=True, text=True, check=True)
-    return int(done.stdout)
-
-
-@pytest.fixture(scope="module")
-def small_pages_kb() -> int:
-    return large_pages_kb("late", THP_MEM_ALLOC_ENABLE="0")
+def test_what_the_environment_says_is_left_as_it_is() -> None:
+    assert measured("late", "configured", given=True)["grown_mb"] > 0.8 * as_it_is()["grown_mb"]
 
 
 @pytest.mark.skipif(
     not LARGE_PAGES.exists() or "[madvise]" not in LARGE_PAGES.read_text(), reason="this kernel gives all or none"
 )
 @pytest.mark.parametrize("torch_imported", ["early", "late"])
-def test_large_tensors_lie_in_large_pages(torch_imported: str, small_pages_kb: int) -> None:
+def test_large_tensors_lie_in_large_pages(torch_imported: str) -> None:
     # Half of the 64 MB: a tensor's ends off page borders, and pages that the kernel lacks, stay small.
-    assert large_pages_kb(torch_imported) > small_pages_kb + 32 * 1024
+    small = measured("late", "configured", given=True)
+    assert measured(torch_imported, "configured")["large_pages_kb"] > small["large_pages_kb"] + 32 * 1024
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,10 @@ from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles
 
 
-@pytest.mark.parametrize("mode", ["shape", "pose"])
-def test_hits_of_a_replayed_attack_are_held_against_the_truth(mode: str, tmp_path: Path) -> None:
+def test_hits_of_a_replayed_attack_are_held_against_the_truth(tmp_path: Path) -> None:
     vehicle, (points, origin) = (
         baseline_vehicles()["coupe"],
-        sector_scan((13.0, 2.0, -1.0), half_angle_rad=0.17, rays=36),
+        sector_scan((13.0, 2.0, -1.0), half_angle_rad=0.17, rays=24),
     )
     beams, code = Beams.from_arrays(points, origin), torch.from_numpy(vehicle.latent_code)
     poses = torch.tensor([[13.0, 2.0, -1.0, yaw, 0.0, 0.0] for yaw in (0.8, 0.81, 0.82)], dtype=torch.float64)
@@ -41,12 +40,14 @@ def test_hits_of_a_replayed_attack_are_held_against_the_truth(mode: str, tmp_pat
         "sdf_t_object": torch.as_tensor(np.asarray(vehicle.sdf_t_object, dtype=np.float64)),
         "size_m": torch.tensor(vehicle.size_m, dtype=torch.float64),
     }  # fmt: skip
-    save_file({key: part.clone().contiguous() for key, part in parts.items()}, tmp_path / f"coupe, {mode}.safetensors")
+    for mode in ("shape", "pose"):
+        of_its_own = {key: part.clone().contiguous() for key, part in parts.items()}
+        save_file(of_its_own, tmp_path / f"coupe, {mode}.safetensors")
     comparator.replay(tmp_path, tmp_path / "found.json")
     found = json.loads((tmp_path / "found.json").read_text())
-    assert list(found) == [f"coupe, {mode}, {how}" for how in ("warm", "cold, no grid")[: 1 + (mode == "shape")]]
+    assert list(found) == ["coupe, pose, warm", "coupe, shape, warm", "coupe, shape, cold, no grid"]
     for one in found.values():
-        assert one["hits"] == hits > 600 and one["lost"] == 7 and len(one["milliseconds"]) == 2
+        assert one["hits"] == hits > 250 and one["lost"] == 7 and len(one["milliseconds"]) == 2
 
 
 def test_a_ratio_is_of_the_medians_of_all_turns() -> None:

@@ -7,7 +7,7 @@ import json
 import time
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shift3d.accuracy_time.timing import interleaved_samples, machine, milliseconds, num_further_timings, quartiles
@@ -24,6 +24,7 @@ def test_settings_take_turns_and_every_second_round_runs_backwards() -> None:
     ]
 
 
+@settings(max_examples=40)
 @given(wanted=st.dictionaries(st.text(min_size=1, max_size=3), st.integers(0, 12), max_size=6))
 def test_everybody_gets_what_it_wants_in_order_and_spread_over_the_run(wanted: dict[str, int]) -> None:
     order = list(interleaved_samples(wanted))

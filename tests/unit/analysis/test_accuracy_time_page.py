@@ -249,7 +249,7 @@ def test_a_report_is_written_from_the_table_alone_with_the_same_bytes(tmp_path: 
 
 
 def test_a_figure_that_is_saved_is_the_figure_that_was_measured(tmp_path: Path) -> None:
-    figure = work_precision_figure(frame_of(realistic_rows()), "street")
+    figure = work_precision_figure(frame_of(small_rows()), "street")
     figure.canvas.draw()
     before = [box.bounds for axes in figure.axes for box in boxes(labels_of(axes))]
     figure.savefig(tmp_path / "figure.png")

@@ -148,11 +148,11 @@ def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     groups = np.repeat(np.arange(200), 3)
     held = 0
-    for _ in range(300):
+    for _ in range(150):
         values = rng.normal(size=200)[groups] + 0.3 * rng.normal(size=600)  # scenes differ more than objects of one
         interval = mean_interval(values, list(groups))
         held += interval.low <= 0.0 <= interval.high
-    assert abs(held / 300 - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
+    assert abs(held / 150 - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 150)
 
 
 def test_resampling_single_objects_would_have_promised_too_much() -> None:

@@ -49,20 +49,29 @@ def _bytes(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_the_same_detections_give_the_same_bytes_but_for_the_times(tmp_path: Path) -> None:
-    write_evaluation("toy", "small", _answers(milliseconds=1.0), tmp_path / "a")
-    write_evaluation("toy", "small", _answers(milliseconds=7.0), tmp_path / "b")
-    a, b = _bytes(tmp_path / "a"), _bytes(tmp_path / "b")
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of detections without grades, and what is printed of it; tests only read it."""
+    folder = tmp_path_factory.mktemp("evaluation") / "plain"
+    return folder, write_evaluation("toy", "small", _answers(), folder)
+
+
+def test_the_same_detections_give_the_same_bytes_but_for_the_times(plain: tuple[Path, str], tmp_path: Path) -> None:
+    write_evaluation("toy", "small", _answers(milliseconds=7.0), tmp_path)
+    a, b = _bytes(plain[0]), _bytes(tmp_path)
     names = ("metrics", "curves", "detections", "truth", "vehicles", "breakdown", "timings")
     assert set(a) == {f"{name}.parquet" for name in names} | {"curves.png"}
     assert {name for name in a if a[name] != b[name]} == {"timings.parquet"}
 
 
 @pytest.mark.parametrize("graded", [False, True])
-def test_detections_and_truth_suffice_to_compute_every_metric_again(tmp_path: Path, graded: bool) -> None:
-    answers = _answers(graded)
-    write_evaluation("toy", "small", answers, tmp_path)
-    detections, truth = (pd.read_parquet(tmp_path / f"{name}.parquet") for name in ("detections", "truth"))
+def test_detections_and_truth_suffice_to_compute_every_metric_again(
+    plain: tuple[Path, str], tmp_path: Path, graded: bool
+) -> None:
+    answers, (folder, _) = _answers(graded), plain
+    if graded:
+        write_evaluation("toy", "small", answers, folder := tmp_path)
+    detections, truth = (pd.read_parquet(folder / f"{name}.parquet") for name in ("detections", "truth"))
     frames = []
     for scene in [answer.frame.scene for answer in answers]:
         d, t = detections[detections["scene"] == scene], truth[truth["scene"] == scene]
@@ -84,7 +93,7 @@ def test_detections_and_truth_suffice_to_compute_every_metric_again(tmp_path: Pa
                 ),
             )
         )
-    metrics = pd.read_parquet(tmp_path / "metrics.parquet")
+    metrics = pd.read_parquet(folder / "metrics.parquet")
     again = [
         value
         for metric in evaluate(frames)
@@ -116,13 +125,13 @@ def test_the_printed_table_names_what_each_line_is(tmp_path: Path) -> None:
     assert len({line[: lines[1].index("BEV AP")] for line in lines[3:]}) == len(lines[3:])
 
 
-def test_the_short_table_comes_first_with_intervals_and_agrees_with_the_folder(tmp_path: Path) -> None:
-    printed = write_evaluation("toy", "small", _answers(), tmp_path)
-    table = pd.read_parquet(tmp_path / "breakdown.parquet")
+def test_the_short_table_comes_first_with_intervals_and_agrees_with_the_folder(plain: tuple[Path, str]) -> None:
+    folder, printed = plain
+    table = pd.read_parquet(folder / "breakdown.parquet")
     whole = table[(table["by"] == "all") & (table["measure"] == "AP") & (table["statistic"] == "3D")].iloc[0]
     line = next(line for line in printed.splitlines()[:8] if line.startswith("3D AP"))
     assert line.split()[2:6] == [f"{whole['value']:.3f}", f"{whole['low']:.3f}", "to", f"{whole['high']:.3f}"]
-    vehicles = pd.read_parquet(tmp_path / "vehicles.parquet")
+    vehicles = pd.read_parquet(folder / "vehicles.parquet")
     near = vehicles[(vehicles["range_m"] < 75) & (vehicles["num_points"] >= 6)]
     matched = near[near["score"] >= 0.3]
     errors = table[(table["by"] == "all") & (table["measure"] == "error_z_m")].set_index("statistic")["value"]

@@ -103,7 +103,7 @@ def eyes(page: Page) -> list[str]:
 
 
 def test_both_vehicles_turn_together_by_keyboard_and_by_drag(browser: Browser, two_cars: Path) -> None:
-    page, words = opened(browser, two_cars)
+    page, words = opened(browser, two_cars, width=600)
     first = eyes(page)
     button = page.locator("button[data-turn]").first
     button.focus()
@@ -116,7 +116,7 @@ def test_both_vehicles_turn_together_by_keyboard_and_by_drag(browser: Browser, t
     x, y = view["x"] + view["width"] / 2, view["y"] + view["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()
-    page.mouse.move(x + 120, y + 30, steps=8)
+    page.mouse.move(x + 60, y + 30, steps=3)
     page.mouse.up()
     page.wait_for_timeout(1500)
     assert eyes(page)[0] != turned[0]

@@ -27,7 +27,7 @@ def scene_about_a_car(seed: int) -> Scene:
     return Scene("car", "made", (2.0 * places).astype(np.float32), origins, -1.7)
 
 
-@pytest.mark.parametrize("yaw", [0.3, 1.2, -2.0])
+@pytest.mark.parametrize("yaw", [0.3, -2.0])
 def test_no_beam_is_overlooked_whose_sub_rays_disagree(yaw: float) -> None:
     theta = torch.tensor([18.0, 2.0, -0.9, yaw, 0.02, -0.03], dtype=torch.float64)
     frame = Frame(scale_m=2.5)

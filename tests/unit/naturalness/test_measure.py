@@ -111,10 +111,10 @@ def test_a_mirrored_asymmetric_vehicle_is_another_one(set_of_20: NaturalnessMete
 
 
 def test_the_order_of_members_changes_names_alone(vehicles: list[trimesh.Trimesh]) -> None:
-    order = np.random.default_rng(0).permutation(30)
-    one = measures(Meshes(tuple(vehicles[:30])))
+    order = np.random.default_rng(0).permutation(22)
+    one = measures(Meshes(tuple(vehicles[:22])))
     other = measures(Meshes(tuple(vehicles[index] for index in order)))
-    for shape in vehicles[30:35]:
+    for shape in vehicles[22:25]:
         a, b = one.of(shape), other.of(shape)
         assert a.nearest is not None and b.nearest is not None
         assert (a.nearest.to_member_cm, a.nearest.from_member_cm) == (b.nearest.to_member_cm, b.nearest.from_member_cm)
@@ -124,7 +124,7 @@ def test_the_order_of_members_changes_names_alone(vehicles: list[trimesh.Trimesh
 
 def test_the_prefilter_finds_the_member_that_brute_force_finds(vehicles: list[trimesh.Trimesh]) -> None:
     found = reference(Meshes(tuple(vehicles)))
-    for number in range(0, len(vehicles), 3):
+    for number in range(0, len(vehicles), 6):
         shape = found.surface(number)
         exact = found.nearest(shape, left_out=number, candidates=len(found))
         assert found.nearest(shape, left_out=number).mean_cm <= exact.mean_cm + 0.01
@@ -133,9 +133,8 @@ def test_the_prefilter_finds_the_member_that_brute_force_finds(vehicles: list[tr
         assert nearest_by_fingerprint(own, found.fingerprints, 1)[0] == number
 
 
-def test_the_same_shape_gives_the_same_numbers(vehicles: list[trimesh.Trimesh]) -> None:
-    source = Meshes(tuple(vehicles[:25]))
-    assert measures(source).of(vehicles[30]) == measures(source).of(vehicles[30].copy())
+def test_the_same_shape_gives_the_same_numbers(set_of_20: NaturalnessMeter, vehicles: list[trimesh.Trimesh]) -> None:
+    assert measures(legged(LENGTHS)).of(vehicles[30]) == set_of_20.of(vehicles[30].copy())
 
 
 def test_a_code_is_measured_by_what_it_decodes_to(set_of_20: NaturalnessMeter) -> None:
@@ -153,7 +152,7 @@ def test_the_quick_surface_is_the_thorough_one_to_a_centimetre() -> None:
     source = VehicleSet()
     suv, decoder = source.vehicle("suv"), source.decoder()
     quick = surface_of_mesh(decoded_mesh(suv, decoder, suv.latent_code))
-    thorough = surface_of_mesh(vehicle_mesh(suv, decoder, resolution=129))
+    thorough = surface_of_mesh(vehicle_mesh(suv, decoder, resolution=97))
     assert quick.distances_to(thorough.points).mean() < 0.01 and thorough.distances_to(quick.points).mean() < 0.01
     assert quick.size_m == pytest.approx(thorough.size_m, abs=0.01)
 

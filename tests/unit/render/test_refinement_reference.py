@@ -59,7 +59,7 @@ def _hardly_outside(shape: Field, rays: Rays, spacing_m: float, error_m: float) 
 NOWHERE = torch.full_like(RAYS.far_m, math.nan)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(shape=SHAPE, minima=st.booleans())
 def test_every_chord_of_five_centimetres_is_found_where_nothing_is_known(shape: Field, minima: bool) -> None:
     chosen = FLOAT64.with_(local_minima=minima)
@@ -68,7 +68,7 @@ def test_every_chord_of_five_centimetres_is_found_where_nothing_is_known(shape: 
     check_against_dense(crossings(cold(RAYS, shape, chosen), shape, RAYS), shape, RAYS)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     shape=SHAPE,
     spacing=st.sampled_from([0.02, 0.1, 0.3]),
@@ -85,7 +85,7 @@ def test_and_where_samples_are_predicted_with_bounds_that_hold(
     check_against_dense(crossings(found, shape, RAYS), shape, RAYS, skipped=found.open)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(shape=SHAPE, error=st.sampled_from([0.005, 0.03]), seed=st.integers(0, 99))
 def test_what_lies_well_in_front_of_a_known_hit_is_found(shape: Field, error: float, seed: int) -> None:
     """The given hit is the last entry into the object. A plain approach within `approach_m` of it is not sampled."""
@@ -126,7 +126,7 @@ def _refined(
     return [(k_b, g_b)]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(shape=SHAPE)
 def test_all_rays_at_once_are_refined_as_each_alone_interval_by_interval(shape: Field) -> None:
     chosen = NO_MINIMA.with_(grazing_m=10.0)
@@ -149,7 +149,7 @@ def test_all_rays_at_once_are_refined_as_each_alone_interval_by_interval(shape: 
             assert abs(float(found.brackets.inner[at]) - samples[-1][0]) < 1e-9
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(shape=SHAPE, predicted=st.booleans(), minima=st.booleans(), seed=st.integers(0, 99))
 def test_what_stays_uncovered_is_shorter_than_the_least_step(
     shape: Field, predicted: bool, minima: bool, seed: int

@@ -37,7 +37,7 @@ def test_the_same_again_costs_less_than_a_third() -> None:
 def test_a_shape_that_changes_step_by_step() -> None:
     beams, warm = scan(), None
     spent, fresh = 0, 0
-    for step in range(12):
+    for step in range(8):
         shape = in_frame(rounded(car(), 0.004 * step), SHAPENET_FRAME)
         followed = render(beams, shape, THETA, SHAPENET_FRAME, STANDARD, warm)
         cold = render(beams, shape, THETA, SHAPENET_FRAME, STANDARD)
@@ -51,7 +51,7 @@ def test_a_pose_that_changes_step_by_step_with_and_without_a_grid() -> None:
     beams, field = scan(), in_frame(car(), SHAPENET_FRAME)
     grid = SdfGrid.of(field, SHAPENET_FRAME, STANDARD)
     warm = mapped = None
-    for step in range(8):
+    for step in range(5):
         theta = THETA + step * torch.tensor([0.06, -0.03, 0.002, 0.04, 0.005, -0.004], dtype=torch.float64)
         cold = render(beams, field, theta, SHAPENET_FRAME, STANDARD)
         followed = render(beams, field, theta, SHAPENET_FRAME, STANDARD, warm)

@@ -52,7 +52,7 @@ def test_a_region_is_linear_to_its_end_and_no_further() -> None:
 def test_traversal_finds_every_root_that_dense_sampling_finds_first() -> None:
     field, (x, d) = small_field(), lines()
     k = torch.linspace(0, 2, 20001, dtype=torch.float64)
-    for start, direction in zip(x, d):
+    for start, direction in zip(x[:60], d[:60]):
         g = field(start + k[:, None] * direction)
         change = torch.nonzero((g[1:] < 0) != (g[0] < 0)).squeeze(1)
         at = 0.0

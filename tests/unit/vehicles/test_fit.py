@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from octahedron_decoder import octahedron_decoder
 
 from shift3d.cli.main import main
 from shift3d.errors import InputError
@@ -78,39 +79,14 @@ def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
 def test_an_upside_down_mesh_is_said_to_fit_better_the_right_way_up(
     hatchback: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    monkeypatch.setattr(fit, "SAMPLES", 10_000)
+    monkeypatch.setattr(vehicle_set, "RESOLUTION", 33)
     monkeypatch.setattr(orientation, "STEPS", 15)
     out = tmp_path / "set"
     main(["fit", str(hatchback), "unit=mm", "up=-y", "steps=30", f"out={out}"])
     assert "hatchback_of_mine: fits better with up=+y: " in capsys.readouterr().err
     (facts,) = json.loads((out / "sdf.json").read_text())["vehicles"]
     assert facts["better_orientation"]["chamfer_cm"] < 0.8 * facts["chamfer_cm"]
-
-
-def test_what_the_decoder_cannot_draw_is_said_with_its_picture_and_an_exit_code(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
-    monkeypatch.setattr(orientation, "STEPS", 5)
-    trimesh.creation.box((4.0, 4.0, 4.0)).export(tmp_path / "cube.ply")
-    assert main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=10", f"out={tmp_path / 'set'}"]) == 3
-    printed = capsys.readouterr().err
-    assert "cube: far from its mesh" in printed and "is usual for a car of this length" in printed
-    assert str(tmp_path / "set" / "pictures" / "cube.png") in printed
-    assert (tmp_path / "set" / "pictures" / "cube.png").stat().st_size > 1000
-
-
-def test_what_closing_a_mesh_took_is_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
-    monkeypatch.setattr(orientation, "STEPS", 1)
-    cube = trimesh.creation.box((4.0, 4.0, 4.0))
-    cube.update_faces(np.arange(len(cube.faces)) > 0)
-    cube.export(tmp_path / "cube.ply")
-    main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=1", f"out={tmp_path / 'set'}"])
-    printed = capsys.readouterr().out
-    assert "cube: mesh not closed (3 open edges); 1 hole filled, the widest 565.7 cm" in printed
 
 
 def contents(folder: Path, below: str = "*") -> dict[str, tuple[int, bytes]]:
@@ -120,12 +96,29 @@ def contents(folder: Path, below: str = "*") -> dict[str, tuple[int, bytes]]:
 
 
 @pytest.fixture
-def coarse(monkeypatch: pytest.MonkeyPatch) -> str:
-    """Settings for fits of a second, here and (by the returned source) in another process."""
-    for module, name, value in ((fit, "SAMPLES", 2_000), (vehicle_set, "RESOLUTION", 33), (orientation, "STEPS", 1)):
-        monkeypatch.setattr(module, name, value)
-    values = "fit.SAMPLES, vehicle_set.RESOLUTION, orientation.STEPS = 2_000, 33, 1"
-    return f"from shift3d.vehicles import fit, orientation, vehicle_set; {values}"
+def coarse(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A small decoder, and settings for short fits, here and (by the returned source) in another process."""
+    file = tmp_path_factory.mktemp("decoder") / "sdf.safetensors"
+    save_decoder(octahedron_decoder(), file)
+    values = {"fit.DEFAULT_WEIGHTS": file, "fit.SAMPLES": 2_000, "vehicle_set.RESOLUTION": 33, "orientation.STEPS": 1}
+    for name, value in values.items():
+        monkeypatch.setattr(f"shift3d.vehicles.{name}", value)
+    settings = "; ".join(f"{name} = {value!r}" for name, value in values.items())
+    return f"from pathlib import PosixPath; from shift3d.vehicles import fit, orientation, vehicle_set; {settings}"
+
+
+def test_what_closing_took_and_what_the_decoder_cannot_draw_are_said_with_a_picture_and_an_exit_code(
+    tmp_path: Path, coarse: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cube = trimesh.creation.box((4.0, 4.0, 4.0))
+    cube.update_faces(np.arange(len(cube.faces)) > 0)
+    cube.export(tmp_path / "cube.ply")
+    assert main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=1", f"out={tmp_path / 'set'}"]) == 3
+    printed = capsys.readouterr()
+    assert "cube: mesh not closed (3 open edges); 1 hole filled, the widest 565.7 cm" in printed.out
+    assert "cube: far from its mesh" in printed.err and "is usual for a car of this length" in printed.err
+    assert str(tmp_path / "set" / "pictures" / "cube.png") in printed.err
+    assert (tmp_path / "set" / "pictures" / "cube.png").stat().st_size > 1000
 
 
 def test_a_killed_fit_keeps_each_mesh_and_ends_as_one_that_was_not(
@@ -216,7 +209,7 @@ def test_another_mesh_word_decoder_or_program_and_a_damaged_file_are_fitted_agai
 ) -> None:
     cube, out = tmp_path / "cube.ply", tmp_path / "set"
     trimesh.creation.box((4.0, 4.0, 4.0)).export(cube)
-    save_decoder(load_decoder(), tmp_path / "other.safetensors")
+    save_decoder(octahedron_decoder(seed=1), tmp_path / "other.safetensors")
 
     def fitted(*words: str) -> int:
         """Run a fit. Returns the number of entries that it wrote."""
