@@ -20,11 +20,7 @@ _CHORD_M = 0.05
 
 @dataclass(frozen=True)
 class TrueHits:
-    """Ground truth of first hits.
-
-    index: (M,) beams that hit, ascending. range_m: (M,) float64 ranges. chord_m: (M,) float64 length of each beam's
-    segment inside the object behind its hit, at most 5 cm.
-    """
+    """Ground truth of first hits: (M,) beams that hit, ascending, their ranges float64, and their `chord_lengths`."""
 
     index: Tensor
     range_m: Tensor
@@ -32,7 +28,7 @@ class TrueHits:
 
     @property
     def thick(self) -> Tensor:
-        """Mask (M,) bool of the hits with a chord of at least 2 cm."""
+        """Mask (M,) bool of the hits with a chord of at least `THICK_CHORD_M`."""
         return self.chord_m >= THICK_CHORD_M
 
 
@@ -40,9 +36,9 @@ class TrueHits:
 class RenderingErrors:
     """Numbers of wrong beams, and the depth errors of hits on the right surface.
 
-    hits, thick_hits: true hits, and true hits with a chord of 2 cm or more. missed, missed_thick: true hits of either
-    kind that the rendering misses. wrong: hits more than 1 cm off the true range. false: hits of beams without a true
-    hit. depth_m: |depth error| of the remaining hits, metres.
+    hits, thick_hits: true hits, and `TrueHits.thick` ones. missed, missed_thick: those that the rendering misses.
+    wrong: hits more than 1 cm off the true range. false: hits of beams without a true hit. depth_m: |depth error| of
+    the remaining hits, metres.
     """
 
     hits: int
@@ -52,12 +48,6 @@ class RenderingErrors:
     wrong: int
     false: int
     depth_m: tuple[float, ...]
-
-
-def true_hits(rendering: Rendering, chord_m: Tensor) -> TrueHits:
-    """Make the ground truth from the hits of a rendering and their chords (M,)."""
-    index = torch.nonzero(rendering.hit_mask).squeeze(1)
-    return TrueHits(index, rendering.range_m[index], chord_m)
 
 
 def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
