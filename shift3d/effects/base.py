@@ -35,13 +35,9 @@ Kind = Literal["cast", "footprint", "returns"]
 class EffectContext:
     """Data that stay constant over an attack.
 
-    Attributes:
-        scene: the scene with the settings (weather, sensor) applied.
-        beams: beams as they are cast, see `Cast`; N rows, the scene's points first.
-        vehicle: frame and size of the object.
-        seed: seed of all random draws.
-        object_speed_m_s: speed of the object along its heading.
-        heading_rad: heading of the object at its placement, counter-clockwise from the scene's +x.
+    scene: with the settings (weather, sensor) applied. beams: N rows as they are cast, see `Cast`, the scene's points
+    first. vehicle: frame and size of the object. seed: of all random draws. object_speed_m_s: along the heading.
+    heading_rad: of the object at its placement, counter-clockwise from the scene's +x.
     """
 
     scene: Scene
@@ -73,11 +69,10 @@ class EffectContext:
 class Cast:
     """Beams as they are cast at the object.
 
-    Attributes:
-        beams: N rows. Rows beyond the scene's points are no-return beams; their points lie `NO_RETURN_M` away.
-        shift_m: (N, 3) float64 or None: displacement of the object at the beam's firing time, scene frame. Beams are
-            cast displaced by -shift_m; hits are moved back by shift_m.
-        no_return: (N,) bool or None: rows that have a return only if they meet the object.
+    beams: N rows. Rows beyond the scene's points are no-return beams; their points lie `NO_RETURN_M` away. shift_m:
+    (N, 3) float64 or None: displacement of the object at the beam's firing time, scene frame; beams are cast displaced
+    by -shift_m, hits are moved back by shift_m. no_return: (N,) bool or None: rows that have a return only if they meet
+    the object.
     """
 
     beams: Beams
@@ -135,10 +130,8 @@ class Returns:
 class Insertion:
     """Inserted object after its rendering.
 
-    Attributes:
-        beams: the beams as cast. rendering: first hits of the beam axes. field: the object's field, `settings.dtype`.
-        theta: (6,) pose at time 0 of the scene, scene frame. vehicle, settings: as in `render`.
-        shift_m: see `Cast`. space: SDF grid of this field, or None.
+    beams, shift_m: see `Cast`. rendering: first hits of the beam axes. field: the object's, `settings.dtype`. theta:
+    (6,) pose at time 0 of the scene, scene frame. vehicle, settings: as in `render`. space: SDF grid of this field.
     """
 
     beams: Beams
@@ -163,8 +156,7 @@ ReturnsStep = Callable[[Returns], Returns]
 class Effect(ABC):
     """One effect. The module of this package with the effect's name defines an instance ``EFFECT``.
 
-    kind: see the module. name: name in the settings. reads_incidence: the step of `bind` reads `Returns.cosine`, which
-    costs a gradient of the field at every hit.
+    reads_incidence: the step of `bind` reads `Returns.cosine`, which costs a gradient of the field at every hit.
     """
 
     name: str
@@ -201,5 +193,5 @@ class WeatherEffect(Effect):
 
 
 def unchanged(returns: Returns) -> Returns:
-    """Return the returns unchanged: the step of an effect of zero strength."""
+    """The step of an effect of zero strength."""
     return returns

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
+from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.physics.pairing import BeamReturns
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
@@ -25,14 +25,10 @@ class SecondReturns(Effect):
     kind: Kind = "returns"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
-        """Return the reason. The effect always applies."""
         return f"{scene.returns} returns a beam: an opaque object in front of them sends back 1"
 
     def bind(self, context: EffectContext) -> ReturnsStep:
-        """Pair the rows, once. Draws nothing."""
         paired = BeamReturns.of(context)
-        if paired is None:
-            return unchanged
 
         def step(returns: Returns) -> Returns:
             later = returns.on_object & paired.behind(returns.row, returns.on_object)

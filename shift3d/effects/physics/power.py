@@ -63,8 +63,7 @@ def detection_probability(power: Tensor, sensor: SensorModel) -> Tensor:
 def detection_draws(context: EffectContext) -> Tensor:
     """Draw (N,) float64 uniform in [0, 1), one a beam. A draw below `detection_probability` detects the echo.
 
-    All effects that lose echoes of the object share these draws. Rain followed by ray drop therefore loses the same
-    echoes as one test with the weaker of both powers, and no beam is tried twice with different luck.
+    All effects that lose echoes of the object share these draws: no beam is tried twice with different luck.
     """
     return torch.from_numpy(context.draws("power", "survival").random(len(context.beams)))
 
@@ -114,8 +113,6 @@ class DetectionLoss:
             return lost
         for on_object in (True, False):
             chosen = (returns.returned & (returns.on_object == on_object)).nonzero().squeeze(1)
-            if not len(chosen):
-                continue
             row, before, share = returns.row[chosen], power[chosen], transmission[chosen]
             if on_object:
                 lost[chosen] = self.shared[row] >= detection_probability(before * share, self.sensor)
@@ -126,9 +123,9 @@ class DetectionLoss:
     def _share_kept(self, before: Tensor, transmission: Tensor) -> Tensor:
         """Compute the detection probability (K,) after the effect, given detection before it.
 
-        A sharp limit cannot explain an echo with less than the least power (its reflectance may be reported as 0); its
-        true excess is unknown. Our choice: its log power is exponentially distributed above the limit with mean 1, so
-        that it survives with the probability `transmission`. A soft limit gives transmission^(1 / power_spread).
+        A sharp limit cannot explain an echo with less than the least power (its reflectance may be reported as 0). Our
+        choice: its log power is exponentially distributed above the limit with mean 1, so that it survives with the
+        probability `transmission`. A soft limit gives transmission^(1 / power_spread).
         """
         least, spread = self.least, self.sensor.power_spread
         if spread == 0.0:

@@ -70,17 +70,14 @@ class WetGround(WeatherEffect):
     of the ground at any rate (our choice); mirroring puddles are left out.
 
     Leaves unchanged: points, directions, the object, everything above the ground, and scenes whose points contain their
-    weather. No rain changes nothing. Not differentiable.
-
-    Source: Fresnel transmission both ways (reference equations); diffuse light inside: our choice (Lekner and Dorf
-    1988).
+    weather. Not differentiable. Source: Fresnel transmission both ways (reference equations); diffuse light inside: our
+    choice (Lekner and Dorf 1988).
     """
 
     name = "wet_ground"
     reads_incidence = False
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Return a reason if the points do not contain the rain yet, and ground is in view."""
         conditions = scene.conditions
         if conditions.weather_in_points or not scene.ground_in_view:
             return None
@@ -92,7 +89,6 @@ class WetGround(WeatherEffect):
         )
 
     def bind(self, context: EffectContext) -> ReturnsStep:
-        """Draw two values a beam."""
         conditions, sensor = context.scene.conditions, context.scene.sensor
         known = sensor is not None and sensor.limit_range_m is not None
         if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:
