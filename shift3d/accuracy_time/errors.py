@@ -51,14 +51,10 @@ class RenderingErrors:
 
 
 def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
-    """Measure the length of each ray inside the object behind its hit, by samples every 2 mm; at most 5 cm.
+    """Measure the length (M,) of each ray inside the object behind its hit (M,), by samples every 2 mm; at most 5 cm.
 
-    Args:
-        field: metric signed distance field in the object frame. Use float64: a hit is only as exact as its field.
-        rays: (M) beams in the object frame. hit_m: (M,) ranges of their hits.
-
-    Returns: (M,) float64 metres, up to the zero of the line through the last sample inside and the next sample. A chord
-    shorter than 2 mm is zero unless the first sample is inside the chord.
+    field: metric, in the rays' object frame. Use float64: a hit is only as exact as its field. A chord ends at the zero
+    of the line through the last sample inside and the next. Below 2 mm it is zero unless the first sample is inside.
     """
     length = torch.zeros(len(rays), dtype=torch.float64)
     g_before = torch.zeros_like(length)

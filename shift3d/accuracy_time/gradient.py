@@ -46,12 +46,9 @@ def attack_step(
 ) -> AttackStep:
     """Compute and time one attack step, without the update of the variable.
 
-    Args:
-        problem: attack whose detector has the precision of the search.
-        code, theta: (d,), (6,). radius_m: radius of the detector's window; None: the whole scene.
-        of_code, of_pose: variables of the gradient; an attack on the shape needs of_code only.
-        incremental: incremental inference that has processed the previous rendering, as in an attack.
-        at_points: (N, 3) replaces the detector's gradient at the points; the backward pass is then the renderer's only.
+    problem: its detector has the precision of the search. radius_m: radius of the detector's window; None: the whole
+    scene. of_code, of_pose: variables of the gradient. incremental: has processed the previous rendering, as in an
+    attack. at_points: (N, 3) replaces the detector's gradient at the points; the backward pass is then the renderer's.
 
     The backward pass stops at the points to time the detector's part. The gradient is the same as in one pass.
     """

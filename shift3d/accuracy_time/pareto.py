@@ -70,13 +70,9 @@ def dominating_rows(
     equal in both do not dominate each other, so both can be on the front. Of several dominating rows the result is the
     fastest, then the most accurate, then the first; that row is itself on the front.
 
-    Args:
-        time, error: (N,), finite, in any unit; smaller is better.
-        warm: (N,) bool, True for rows that need a previous rendering. A warm row cannot replace a cold row, so it
-            dominates warm rows only; a cold row can dominate any row. None: all rows are cold.
-        grid: (N,) bool, likewise for rows that need an SDF grid of the shape.
-        gradient: (N,) variable that a row prepares the gradient for; "no": none. Only rows with the same variable can
-            dominate a row with a variable. None: all "no".
+    warm: (N,) bool, rows that need a previous rendering: they dominate warm rows only; a cold row can dominate any row.
+    grid: (N,) bool, likewise for rows that need an SDF grid of the shape. gradient: (N,) variable that a row prepares
+    the gradient for; "no": none. Only rows with the same variable can dominate a row with a variable.
 
     Raises: ValueError: a time or an error is not finite, or the lengths differ.
     """
@@ -139,11 +135,9 @@ def log_axis_errors(error: npt.ArrayLike, least: float) -> FloatArray:
 def knee(time: npt.ArrayLike, error: npt.ArrayLike) -> int | None:
     """Find the knee of a front: the point farthest below the line between the front's ends, both axes logarithmic.
 
-    Faster points lose much accuracy; slower points cost much time for little accuracy. The front's ends are scaled to
-    distance one on either axis, so that units do not matter. ``log_axis_errors`` places errors of zero.
-
-    time, error: (N,) of a front, in any order; times are positive. Returns the point's number, the fastest of equally
-    far points; None with fewer than three points, equal ends, or no point below the line.
+    The front's ends are scaled to distance one on either axis. ``log_axis_errors`` places errors of zero. Times (N,),
+    in any order, are positive. Returns the point's number, the fastest of equally far points; None with fewer than
+    three points, equal ends, or no point below the line.
     """
     times, errors = _floats(time), log_axis_errors(error, 1.0)
     order = np.argsort(times, kind="stable")

@@ -114,10 +114,8 @@ class Choice:
 def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
     """Choose the effects of a scene, in the order of `NEEDS`. The list omits effects that the scene has no data for.
 
-    Args:
-        wanted: "auto", "none", or names. Named effects are used even if the scene does not call for them.
-
-    Raises InputError: an unknown name, or an effect that the scene has no data for.
+    wanted: "auto", "none", or names; these are used even if the scene does not call for them. Raises InputError: an
+    unknown name, or one that the scene has no data for.
     """
     if wanted == "auto":
         return _applicable(scene, detector)

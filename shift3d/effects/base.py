@@ -160,7 +160,7 @@ class Effect(ABC):
     """
 
     name: str
-    kind: Kind
+    kind: Kind = "returns"
     reads_incidence: bool = False
 
     @abstractmethod
@@ -185,7 +185,6 @@ class Effect(ABC):
 class WeatherEffect(Effect):
     """Effect along the light path. It also changes the scene's own points if they were recorded in clear, dry air."""
 
-    kind: Kind = "returns"
     reads_incidence = True
 
     def on_scene(self, context: EffectContext) -> bool:

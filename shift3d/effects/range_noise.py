@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
+from shift3d.effects.base import Effect, EffectContext, Returns, ReturnsStep, unchanged
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 LEAST_NOISE_M = 2e-6
@@ -25,7 +25,6 @@ class RangeNoise(Effect):
     """
 
     name = "range_noise"
-    kind: Kind = "returns"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         sigma_m = scene.sensor.range_noise_m

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
+from shift3d.effects.base import Effect, EffectContext, Returns, ReturnsStep, unchanged
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
 from shift3d.effects.physics.power import OBJECT_FAR_M, detection_draws, detection_probability, echo_power, least_power
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
@@ -33,7 +33,6 @@ class RayDrop(Effect):
     """
 
     name = "ray_drop"
-    kind: Kind = "returns"
     reads_incidence = True
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import Effect, EffectContext, Returns, ReturnsStep
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
@@ -26,7 +26,6 @@ class Reflectance(Effect):
     """
 
     name = "reflectance"
-    kind: Kind = "returns"
     reads_incidence = True
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import Effect, EffectContext, Returns, ReturnsStep
 from shift3d.effects.physics.pairing import BeamReturns
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
@@ -22,7 +22,6 @@ class SecondReturns(Effect):
     """
 
     name = "second_returns"
-    kind: Kind = "returns"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
         return f"{scene.returns} returns a beam: an opaque object in front of them sends back 1"

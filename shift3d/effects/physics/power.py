@@ -29,13 +29,10 @@ def overlap(range_m: Tensor) -> Tensor:
 
 
 def echo_power(albedo: Tensor, cosine: Tensor, range_m: Tensor) -> Tensor:
-    """Compute the echo power in clear air, albedo * cosine * xi(R) / R^2, up to the sensor's constant.
+    """Compute the echo power (K,) in clear air, albedo * cosine * xi(R) / R^2, in 1/m^2; constant as in `least_power`.
 
-    Args:
-        albedo: (K,) in [0, 1]. cosine: (K,) of incidence, in [0, 1]. range_m: (K,), metres.
-
-    Returns: (K,) in 1/m^2; 0 for any range below 0.9 m. Differentiable w.r.t. all three. Source: reference equations of
-    echo power (Rasshofer et al. 2011); constant as in `least_power`.
+    0 for any range below 0.9 m. Differentiable w.r.t. all three. Source: reference equations of echo power (Rasshofer
+    et al. 2011).
     """
     return albedo * cosine * overlap(range_m) / range_m.clamp(min=OVERLAP_FROM_M) ** 2
 
@@ -100,13 +97,11 @@ class DetectionLoss:
         return DetectionLoss(sensor, least_power(sensor.limit_range_m), detection_draws(context), own)
 
     def lost(self, returns: Returns, power: Tensor, transmission: Tensor) -> Tensor:
-        """Return the mask (K,) of the returns that the effect makes undetectable.
+        """Return the mask (K,) of the returns that the effect makes undetectable. Not differentiable.
 
-        Args:
-            returns: K rows. power: (K,) before the effect, 1/m^2. transmission: (K,) in [0, 1], the share that is left.
-
-        An echo of the object must be detectable at all. Any other echo is known to have been detected before the
-        effect, so that its probability is survival(after) / survival(before). Not differentiable.
+        power: (K,) before the effect, 1/m^2. transmission: (K,) in [0, 1], the share that is left. An echo of the
+        object must be detectable at all. Any other echo is known to have been detected before the effect, so that its
+        probability is survival(after) / survival(before).
         """
         lost = torch.zeros_like(returns.returned)
         if self.shared is None or self.own is None:

@@ -48,11 +48,8 @@ class FogEcho:
     range_m: NDArray[np.float64]
 
     def at(self, range_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Compute the log ratio of the fog's echo to the surface's echo in clear air, and the fog's reported range.
-
-        Args:
-            range_m: (K,) of the surfaces, metres. Below 0.9 m the receiver sees no fog in front of a surface: -inf.
-        """
+        """Compute the log ratio of the fog's echo to a surface's (K,) in clear air, -inf below 0.9 m, where the
+        receiver sees no fog, and the fog's reported range."""
         # Beyond the last depth the echo is constant; most surfaces lie there.
         log_gain, reported_m = np.full_like(range_m, self.log_gain[-1]), np.full_like(range_m, self.range_m[-1])
         near = np.nonzero(range_m < self.depth_m[-1])[0]
@@ -71,10 +68,7 @@ def fog_echo_table(extinction: float, backscatter: float) -> FogEcho:
     running integrals of w give it for every R and R0. The pulse is symmetric and w starts at 0.9 m. The maximum over R
     therefore lies between c tau / 2 and c tau beyond 0.9 m, and the pulse's tail always covers the start of w.
 
-    Args:
-        extinction, backscatter: alpha, 1/m, and beta, 1/(m sr).
-
-    Source: Hahner et al. 2021, equations only.
+    extinction, backscatter: alpha, 1/m, and beta, 1/(m sr). Source: Hahner et al. 2021, equations only.
     """
     length = LIGHT_M_S * PULSE_S
     wave = 2.0 * math.pi / length

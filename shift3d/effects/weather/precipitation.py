@@ -101,15 +101,10 @@ class Crossings:
     def nearest(
         self, power: NDArray[np.float64], range_m: NDArray[np.float64], arrival: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Compute the range of the nearest particle that sends back more than a power.
+        """Compute the range (K,) of the nearest particle that sends back more than a power, up to a range; else inf.
 
         Particles are a Poisson process along the beam with mean number Lambda(r) nearer than r. The nearest particle
-        lies at Lambda(r) = E, E exponential with mean 1.
-
-        Args:
-            power, range_m: (K,) power to exceed, and range at which the search stops. arrival: (K,) the draws E.
-
-        Returns: (K,) metres; infinite if there is none.
+        lies at Lambda(r) = E, E exponential with mean 1: `arrival`.
         """
         row = _index(power, _LEAST_POWER, _MOST_POWER, _POWERS)
         stop = _index(range_m, OVERLAP_FROM_M, _FAR_M, _RANGES)
