@@ -30,11 +30,8 @@ class RepeatLimits:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Results of one setting on one case; see `measure.CaseMeasurer` for the outcomes.
-
-    displaced: None if the setting skips the displaced shape. attack: None without attacks. steps: times of the attack
-    steps, including that of `look`. samples_ms: times of renderings, at least one.
-    """
+    """Results of one setting on one case; see `measure.CaseMeasurer` for the outcomes. steps: times of the attack
+    steps, including that of `look`. samples_ms: times of renderings, at least one."""
 
     look: Outcome
     displaced: Outcome | None

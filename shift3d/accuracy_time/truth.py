@@ -37,11 +37,8 @@ SHAPES = ("start", "displaced")
 
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth of one case; dictionaries by shape.
-
-    codes: (d,) float64 latent codes. hits: first hits and their chords. scores: final scores of the float64 detector.
-    unresolved: number of beams that the reference could not decide. dz: (d,), dtheta: (6,) float64 gradient at "start".
-    """
+    """Ground truth of one case, by shape: latent codes (d,) float64, first hits, final scores of the float64 detector,
+    numbers of beams that the reference could not decide; dz (d,), dtheta (6,): float64 gradient at "start"."""
 
     codes: dict[str, Tensor]
     hits: dict[str, TrueHits]

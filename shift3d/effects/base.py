@@ -57,11 +57,8 @@ class EffectContext:
         return torch.cat((known, known.new_zeros(len(self.beams) - len(known))))
 
     def draws(self, effect: str, what: str = "") -> np.random.Generator:
-        """Return a fresh random generator for one effect.
-
-        Draw one value for EVERY row of `beams`, then select. A beam then gets the same draw whatever the beam meets,
-        and the result depends neither on the order of tasks nor on the number of hits.
-        """
+        """Return a fresh random generator for one effect. Draw one value for EVERY row of `beams`, then select: a beam
+        then gets the same draw whatever it meets, in any order of tasks."""
         return generator("effect", effect, what, self.seed)
 
 
@@ -167,7 +164,7 @@ class Effect(ABC):
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Return a short reason, with figures, for using the effect; None if the scene does not call for it.
 
-        Called only if scene and detector have the data that the effect needs (`effects.applicability.NEEDS`).
+        Called only if scene and detector have the data of `effects.applicability.NEEDS`.
         """
 
     @abstractmethod

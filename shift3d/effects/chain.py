@@ -52,10 +52,7 @@ class EffectChain:
         settings: EffectSettings,
         heading_rad: float = 0.0,
     ) -> EffectChain:
-        """Bind effects (names in `NEEDS`, any order) to a scene. Not differentiable.
-
-        heading_rad: heading of the object at its placement, also its direction of travel.
-        """
+        """Bind effects (names in `NEEDS`, any order) to a scene. heading_rad: of the object at its placement."""
         scene = with_settings(scene, settings)
         ordered = tuple(name for name in NEEDS if name in names)
         effects = [effect_named(name) for name in ordered]

@@ -40,9 +40,8 @@ class Divergence(Effect):
     In changed rows `cosine` is the mean weighted by power, and `albedo` contains the object's share of the cone. Their
     product is the light that the object sends back.
 
-    All other beams stay equal bit for bit; at zero divergence all beams do. Not random. Differentiable w.r.t. pose and
-    code through the ranges of the sub-rays. The gradient ignores changes of power and the set of echoes. Source: shared
-    physics, Beam divergence; the constants name their own sources.
+    All other beams stay equal bit for bit. Not random. Differentiable w.r.t. pose and code through the ranges of the
+    sub-rays. The gradient ignores changes of power and the set of echoes. Source: shared physics, Beam divergence.
     """
 
     name = "divergence"

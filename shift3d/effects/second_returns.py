@@ -14,11 +14,9 @@ class SecondReturns(Effect):
     it. The earliest stays. If the object lies between two returns, only the later one is on it and stays moved: the
     first surface lets part of the beam pass, and the object stops the rest.
 
-    Leaves unchanged: points, reflectance, and every row that is not on the object.
-
-    Differentiable: kept points keep their gradients; the removal of a row carries none. A removed row stays removed:
-    the surface stops the light even if another effect loses the surface's own echo later. Source: two returns a beam,
-    an opaque object; pairing by pixel is our choice.
+    Changes nothing but rows on the object. Differentiable: kept points keep their gradients; the removal of a row
+    carries none. A removed row stays removed: the surface stops the light even if another effect loses the surface's
+    own echo later. Source: two returns a beam, an opaque object; pairing by pixel is our choice.
     """
 
     name = "second_returns"

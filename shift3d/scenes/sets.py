@@ -34,9 +34,8 @@ _BY_DRIVE = ("waymo", "argoverse2")
 def independent_group_of(dataset: str, scene: str) -> str:
     """Return the place of a scene, "DATASET/PLACE". Scenes of one place are not independent draws.
 
-    All scenes of one street share a place, in any set (such as one of mixed sensors) and with any options (such as
-    other beams or weather). So do all frames of one segment (Waymo) or log (Argoverse 2). Scene names of other
-    recordings do not tell the drive, so that each scene is its own place.
+    All scenes of one street share a place, in any set and with any options. So do all frames of one segment (Waymo) or
+    log (Argoverse 2). Names of other recordings do not tell the drive: each scene is its own place.
     """
     if found := _STREET.fullmatch(scene):
         return f"street-{found[2]}/{found[1]}{found[3] or ''}"

@@ -34,10 +34,8 @@ _RANGES, _POWERS = 512, 256
 
 @dataclass(frozen=True)
 class Particles:
-    """Particles in the air with the size distribution N(D) = density exp(-slope D), D in mm.
-
-    density: 1/(m^3 mm). slope: 1/mm. albedo: of a diffuse disc that sends back as much light.
-    """
+    """Particles in the air with the size distribution N(D) = density exp(-slope D), in 1/(m^3 mm) and 1/mm, and the
+    albedo of a diffuse disc that sends back as much light."""
 
     density: float
     slope: float
@@ -67,7 +65,7 @@ def weather_range_noise_m(power: Tensor, transmission: Tensor, least: float) -> 
     of the variances is added, because scene and sensor have the noise of clear air already.
 
     Source: Kilic et al. 2021. Not the 0.02 R (1 - exp(-rate))^2 of Goodin et al. 2019: that is 0.4 m at 20 m in any
-    rain above 3 mm/h, fifty times what sensors show; with it, rain took 0.69 of a score of 0.84 by noise alone.
+    rain above 3 mm/h, fifty times what sensors show.
     """
     before = (least / power.clamp(min=least)).clamp(max=1.0)
     after = (least / (power * transmission).clamp(min=least)).clamp(max=1.0)

@@ -50,10 +50,8 @@ def frame_files(
 
 
 def label_line(kind: str, box: NDArray[np.float64]) -> str:
-    """Format a box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`.
-
-    Occlusion is 3, unknown. The image box is clipped to the image, and empty if the camera does not see the object.
-    """
+    """Format a box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`. Occlusion is unknown;
+    the image box is clipped to the image, and empty if the camera does not see the object."""
     x, y, z, length, width, height, heading = (float(value) for value in box)
     bottom = CALIBRATION.camera_T_lidar[:3, :3] @ np.array([x, y, z - height / 2.0])
     turn = math.remainder(-heading - math.pi / 2.0, 2.0 * math.pi)

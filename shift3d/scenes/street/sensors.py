@@ -108,10 +108,8 @@ def other_heads(main: Sensor, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
 
 
 def side_sensors(main: Sensor, count: int, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
-    """Return short-range sensors at the corners of the car below the main sensor, facing outwards along the diagonals.
-
-    They share the main sensor's noise and divergence: one `SensorModel` describes the whole scene. Source: our choice.
-    """
+    """Return short-range sensors at the corners of the car, facing outwards along the diagonals (our choice). They
+    share the main sensor's noise and divergence: one `SensorModel` describes the whole scene."""
     sensor = replace(SHORT32, range_noise_m=main.range_noise_m, divergence_rad=main.divergence_rad)
     height_m = SHORT32.mount_height_m - main.mount_height_m
     return [

@@ -35,11 +35,8 @@ class Fleet:
 
 
 def fleet_of(traffic: str, split: str) -> Fleet:
-    """Return the fleet for a street's option `traffic`. Raises InputError for held-out traffic on split train.
-
-    family: pool of vehicles of the embedded family, see `pool`. wide, held_out: vehicles of the wide family, a
-    different one for each variant; the splits share none. held_out: every second vehicle has an unseen kind.
-    """
+    """Return the fleet for `StreetOptions.traffic`; the splits share no vehicles. Raises InputError for held-out
+    traffic on split train."""
     check_traffic(traffic, split)
     if traffic == "family":
         return Fleet(lambda variant: _FAMILY_SLOT_M, functools.partial(pool_vehicle, split))
