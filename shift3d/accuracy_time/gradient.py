@@ -19,9 +19,8 @@ from shift3d.render.solvers.search import WarmStart
 class AttackStep:
     """One attack step: rendering, detector, constraints, and backward pass.
 
-    loss: value of the adversarial loss. dz: (d,) and dtheta: (6,) gradient of the loss, zero for a variable without a
-    gradient. at_points: (N, 3) gradient of the loss at the rendered points, from which dz and dtheta follow; None if no
-    gradient reaches the points. render_ms, detector_ms (forward and backward), total_ms: times.
+    loss: adversarial loss. dz: (d,), dtheta: (6,) its gradient, zero for a variable without one. at_points: (N, 3) its
+    gradient at the rendered points; None if no gradient reaches them. detector_ms: forward and backward.
     """
 
     rendering: Rendering
@@ -47,12 +46,9 @@ def attack_step(
 ) -> AttackStep:
     """Compute and time one attack step, without the update of the variable.
 
-    Args:
-        problem: attack whose detector has the precision of the search.
-        code, theta: (d,), (6,). radius_m: radius of the detector's window; None: the whole scene.
-        of_code, of_pose: variables of the gradient; an attack on the shape needs of_code only.
-        incremental: incremental inference that has processed the previous rendering, as in an attack.
-        at_points: (N, 3) replaces the detector's gradient at the points; the backward pass is then the renderer's only.
+    problem: its detector has the precision of the search. radius_m: radius of the detector's window; None: the whole
+    scene. of_code, of_pose: variables of the gradient. incremental: has processed the previous rendering, as in an
+    attack. at_points: (N, 3) replaces the detector's gradient at the points; the backward pass is then the renderer's.
 
     The backward pass stops at the points to time the detector's part. The gradient is the same as in one pass.
     """
@@ -62,23 +58,22 @@ def attack_step(
     measured = measure(problem, code, theta, warm, radius_m, incremental)
     forward = time.perf_counter()
     points, loss = measured.rendering.points, measured.adversarial
-    dz, dtheta = torch.zeros_like(code), torch.zeros_like(theta)
+    gradients = {leaf: torch.zeros_like(leaf) for leaf in (code, theta)}
     half_way = forward
     if points.requires_grad and loss.requires_grad:
         if at_points is None:
             (at_points,) = torch.autograd.grad(loss, points, retain_graph=True)
         half_way = time.perf_counter()
         wanted = [leaf for leaf in (code, theta) if leaf.requires_grad]
-        found = iter(torch.autograd.grad(points, wanted, at_points, allow_unused=True))
-        parts = [next(found) if leaf.requires_grad else None for leaf in (code, theta)]
-        dz, dtheta = (torch.zeros_like(leaf) if part is None else part for leaf, part in zip((code, theta), parts))
+        found = torch.autograd.grad(points, wanted, at_points, allow_unused=True)
+        gradients |= {leaf: part for leaf, part in zip(wanted, found, strict=True) if part is not None}
     end = time.perf_counter()
     spent = measured.milliseconds
     return AttackStep(
         measured.rendering,
         float(loss.detach()),
-        dz.detach(),
-        dtheta.detach(),
+        gradients[code].detach(),
+        gradients[theta].detach(),
         at_points,
         spent["render"],
         spent["detector"] + 1e3 * (half_way - forward),

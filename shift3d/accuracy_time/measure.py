@@ -34,10 +34,7 @@ Outcome = dict[str, Any]
 
 @dataclass(frozen=True)
 class _Prepared:
-    """Inputs to render one shape of the case with one setting.
-
-    before: previous rendering of a warm setting, and its pose (6,). incremental: incremental inference of the detector.
-    """
+    """Inputs to render one shape with one setting. before: previous rendering of a warm setting, and its pose (6,)."""
 
     problem: AttackProblem
     before: tuple[Rendering, Tensor] | None = None
@@ -45,7 +42,6 @@ class _Prepared:
 
     @property
     def warm(self) -> WarmStart | None:
-        """Warm start from the previous rendering; None for a cold setting."""
         return None if self.before is None else self.before[0].warm
 
 
@@ -53,8 +49,8 @@ class _Prepared:
 class CaseMeasurer:
     """Measurement of settings on one case.
 
-    truth: ground truth of the case. exact: preset that made the truth; its field gives the residual |g|. warm_steps:
-    consecutive renderings before the measured warm one. slow_s: a setting with a slower rendering is rendered once.
+    exact: preset that made the truth; its field gives the residual |g|. warm_steps: consecutive renderings before the
+    measured warm one. slow_s: a setting with a slower rendering is rendered once.
     """
 
     case: Case
@@ -105,8 +101,8 @@ class CaseMeasurer:
             attack_pose(problem, spec.alpha, steps, limits, selection_window=steady),
         ]
         detector = self.assets.detector_of(spec.detector, setting.score_precision)
-        scoring = dataclasses.replace(problem, detector=detector)
-        scored = [score_object(scoring, best.latent_code, best.theta, radius_m) for best in found]
+        problem = dataclasses.replace(problem, detector=detector)
+        scored = [score_object(problem, best.latent_code, best.theta, radius_m) for best in found]
         return {"scores": [float(each.results[detector.name].score) for each in scored]}
 
     def sample(self, setting: Setting) -> float:
@@ -124,10 +120,7 @@ class CaseMeasurer:
         return self._prepared[key]
 
     def _approach(self, setting: Setting, problem: AttackProblem) -> tuple[Rendering, Tensor]:
-        """Render the attack steps that lead to the measured rendering; return the last of them and its pose.
-
-        The renderings are one attack step apart along the reference gradient; one more step gives the measured one.
-        """
+        """Render the steps along the reference gradient before the measured rendering; return the last and its pose."""
         warm: WarmStart | None = None
         for back in range(self.warm_steps, 0, -1):
             away = self.case.spec.alpha * back
@@ -153,16 +146,9 @@ class CaseMeasurer:
                 incremental.proposals(
                     points, window_around(problem.detector, theta, setting.crop_m), rendering.hit_mask
                 )
-        return attack_step(
-            problem,
-            problem.code0,
-            problem.theta0,
-            setting.crop_m,
-            prepared.warm,
-            of_code=setting.variable != "pose",
-            of_pose=setting.variable != "shape",
-            incremental=incremental,
-        )
+        of_code, of_pose = setting.variable != "pose", setting.variable != "shape"
+        code, theta = problem.code0, problem.theta0
+        return attack_step(problem, code, theta, setting.crop_m, prepared.warm, of_code, of_pose, incremental)
 
     def _times(self, step: AttackStep) -> Outcome:
         return {"render_ms": step.render_ms, "detector_ms": step.detector_ms, "step_ms": step.total_ms}
@@ -191,10 +177,9 @@ class CaseMeasurer:
             problem = case_problem(self.case, self.assets, self.exact.accuracy, self.truth.codes[shape])
             self._prepared[key] = _Prepared(problem)
         problem = self._prepared[key].problem
-        index = torch.nonzero(rendering.hit_mask).squeeze(1)
-        if len(index) == 0:
+        if rendering.object_points == 0:
             return 0.0
-        beams = problem.beams
+        index, beams = torch.nonzero(rendering.hit_mask).squeeze(1), problem.beams
         points = beams.origins[index] + rendering.range_m[index][:, None] * beams.directions[index]
         at_hits = problem.metric(problem.code0)(object_from_scene(points, problem.theta0))
         return float(at_hits.abs().max())

@@ -14,17 +14,14 @@ from shift3d.accuracy_time.measure import Outcome
 from shift3d.accuracy_time.pareto import pareto_flags
 from shift3d.accuracy_time.run import CaseResult
 from shift3d.accuracy_time.settings import Setting
-from shift3d.accuracy_time.timing import quartiles
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class CaseResults:
-    """Results of one case. scenes: scene set. beams: number of beams of the scene. results: by the setting's name.
-
-    undecided: number of beams that the reference could not decide; the ground truth lacks them.
-    """
+    """Results of one case, by the setting's name. scenes: scene set. beams: number of beams of the scene. undecided:
+    number of beams that the reference could not decide; the ground truth lacks them."""
 
     scenes: str
     beams: int
@@ -36,8 +33,8 @@ def frontier_rows(settings: Sequence[Setting], cases: Sequence[CaseResults]) -> 
     """Compute a row per scene set and setting for `store.frontier_table`, grouped by scene set.
 
     Counts and depths are pooled over the set's renderings. Times are the median and quartiles of each case's repeats,
-    averaged over the cases: the spread is that of repeats, not of near and far vehicles. Ratios are null if the preset
-    `paper`, or `paper` on the sphere's chord only, was not measured. Gradient columns hold the worst case.
+    averaged over the cases. Ratios are null if the preset `paper`, or `paper` on the sphere's chord only, was not
+    measured. Gradient columns hold the worst case.
     """
     rows: list[Row] = []
     for scenes in dict.fromkeys(case.scenes for case in cases):
@@ -65,15 +62,11 @@ def _row(setting: Setting, scenes: str, cases: Sequence[CaseResults]) -> Row:
     outcomes = looks + [result.displaced for result in results if result.displaced is not None]
     attacked = [score for result in results if result.attack is not None for score in result.attack["scores"]]
     changes = [outcome["score"] - outcome["true_score"] for outcome in outcomes]
-    times = np.array([quartiles(result.samples_ms) for result in results]).mean(0)
+    times = np.array([np.percentile(result.samples_ms, (25, 50, 75)) for result in results]).mean(0)
     return {
         "setting": setting.name,
-        "method": setting.method,
-        "knob": setting.knob,
-        "knob_name": setting.knob_name,
-        "preset": setting.preset,
+        **{name: getattr(setting, name) for name in ("method", "knob", "knob_name", "preset", "grid")},
         "start": "cold" if setting.warm == "no" else "warm",
-        "grid": setting.grid,
         "gradient": setting.variable,
         "scenes": scenes,
         "renders": len(outcomes),

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import json
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from pathlib import Path
 from typing import Any
 
-from shift3d.accuracy_time.journal import Journal
 from shift3d.accuracy_time.measure import CaseMeasurer, Outcome
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import interleaved_samples, num_further_timings
+from shift3d.store.atomic import write_atomic
 
 ProgressCallback = Callable[[str, float, bool], None]
 """Progress callback: name of the measurement, its expected seconds when done (else 0), True if already known."""
@@ -28,11 +30,8 @@ class RepeatLimits:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Results of one setting on one case; see `measure.CaseMeasurer` for the outcomes.
-
-    displaced: None if the setting skips the displaced shape. attack: None without attacks. steps: times of the attack
-    steps, including that of `look`. samples_ms: times of renderings, at least one.
-    """
+    """Results of one setting on one case; see `measure.CaseMeasurer` for the outcomes. steps: times of the attack
+    steps, including that of `look`. samples_ms: times of renderings, at least one."""
 
     look: Outcome
     displaced: Outcome | None
@@ -41,14 +40,36 @@ class CaseResult:
     attack: Outcome | None = None
 
 
-@dataclass(frozen=True)
-class _Measurement:
-    """One measurement. name: key in the journal. seconds: expected time for the progress bar. make: runs it."""
+class Journal:
+    """Append-only file of a case's measurements by name, one JSON line each.
 
-    name: str
-    setting: Setting
-    seconds: float
-    make: Callable[[], Any]
+    Opening the journal drops a last line that a kill left incomplete; the run measures its value again.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
+        whole = [line for line in lines if line.endswith(b"\n")]
+        self._values: dict[str, Any] = dict(map(json.loads, whole))
+        if len(whole) != len(lines):
+            write_atomic(path, b"".join(whole))
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def put(self, name: str, value: Any) -> None:
+        """Append a value of plain numbers, texts, lists and dictionaries, synchronized to disk."""
+        line = json.dumps([name, value], allow_nan=False) + "\n"
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("ab") as file:
+            file.write(line.encode())
+            file.flush()
+            os.fsync(file.fileno())
+        # The parsed line, so that a resumed run equals an uninterrupted one.
+        self._values[name] = json.loads(line)[1]
 
 
 def measure_case(
@@ -60,12 +81,29 @@ def measure_case(
 ) -> dict[str, CaseResult]:
     """Measure everything missing from the journal, in an order that spreads the machine's drift over all settings.
 
-    tell: progress callback, called before each measurement with 0 seconds and after it with the expected seconds.
+    tell: called before each measurement with 0 seconds and after it with the expected seconds.
 
     Returns: results by the setting's name.
     """
-    _work_off(_looks(settings, instrument), journal, tell)
-    _work_off(_more_steps(settings, instrument, journal, repeats), journal, tell)
+
+    def take(name: str, setting: Setting, seconds: float, make: Callable[[Setting], Any]) -> None:
+        known = name in journal
+        tell(setting.name, 0.0, known)
+        if not known:
+            journal.put(name, make(setting))
+        tell(setting.name, seconds, known)
+
+    for setting in settings:
+        seconds = _seconds(setting)
+        take(f"look/{setting.step_key}", setting, seconds["look"], instrument.look)
+        if setting.displaced:
+            take(f"displaced/{setting.displaced_key}", setting, seconds["displaced"], instrument.displaced)
+        if setting.attack_steps:
+            take(f"attack/{setting.attack_key}", setting, seconds["attack"], instrument.attack)
+    more = {s.name: (s, _step_names(s, journal, repeats)) for s in settings}
+    for name, number in interleaved_samples({name: len(found) for name, (_, found) in more.items()}):
+        setting, found = more[name]
+        take(found[number], setting, _seconds(setting)["step"], instrument.step)
     alike: dict[str, Setting] = {}  # first setting of each rendering; its first measurement decides the sample count
     for setting in settings:
         alike.setdefault(setting.rendering_key, setting)
@@ -73,52 +111,18 @@ def measure_case(
     counts = {
         key: num_further_timings(ms, repeats.most, repeats.seconds, repeats.slow_s) for key, ms in first_ms.items()
     }
-    _work_off(_samples(alike, counts, instrument), journal, tell)
+    for key, number in interleaved_samples(counts):
+        setting = alike[key]
+        take(f"sample/{key}/{number}", setting, _seconds(setting)["samples"] / counts[key], instrument.sample)
     results: dict[str, CaseResult] = {}
     for setting in settings:
         look, key = journal[f"look/{setting.step_key}"], setting.rendering_key
         displaced = journal[f"displaced/{setting.displaced_key}"] if setting.displaced else None
-        steps = [look, *(journal[name] for name in _step_names(setting, journal, repeats))]
+        steps = [look, *(journal[name] for name in more[setting.name][1])]
         samples = [journal[f"sample/{key}/{i}"] for i in range(counts[key])] or [first_ms[key]]
         attack = journal[f"attack/{setting.attack_key}"] if setting.attack_steps else None
         results[setting.name] = CaseResult(look, displaced, tuple(steps), tuple(samples), attack)
     return results
-
-
-def _work_off(measurements: Iterator[_Measurement], journal: Journal, tell: ProgressCallback) -> None:
-    for measurement in measurements:
-        known = measurement.name in journal
-        tell(measurement.setting.name, 0.0, known)
-        if not known:
-            journal.put(measurement.name, measurement.make())
-        tell(measurement.setting.name, measurement.seconds, known)
-
-
-def _looks(settings: Sequence[Setting], instrument: CaseMeasurer) -> Iterator[_Measurement]:
-    for setting in settings:
-        seconds = _seconds(setting)
-        wanted = [("look", setting.step_key, instrument.look)]
-        wanted += [("displaced", setting.displaced_key, instrument.displaced)] if setting.displaced else []
-        wanted += [("attack", setting.attack_key, instrument.attack)] if setting.attack_steps else []
-        for kind, key, make in wanted:
-            yield _Measurement(f"{kind}/{key}", setting, seconds[kind], partial(make, setting))
-
-
-def _more_steps(
-    settings: Sequence[Setting], instrument: CaseMeasurer, journal: Journal, repeats: RepeatLimits
-) -> Iterator[_Measurement]:
-    names = {s.name: (s, _step_names(s, journal, repeats)) for s in settings}
-    for name, number in interleaved_samples({name: len(found) for name, (_, found) in names.items() if found}):
-        setting, found = names[name]
-        yield _Measurement(found[number], setting, _seconds(setting)["step"], partial(instrument.step, setting))
-
-
-def _samples(
-    alike: Mapping[str, Setting], counts: Mapping[str, int], instrument: CaseMeasurer
-) -> Iterator[_Measurement]:
-    for key, number in interleaved_samples({key: count for key, count in counts.items() if count}):
-        setting, seconds = alike[key], _seconds(alike[key])["samples"] / counts[key]
-        yield _Measurement(f"sample/{key}/{number}", setting, seconds, partial(instrument.sample, setting))
 
 
 def _step_names(setting: Setting, journal: Journal, repeats: RepeatLimits) -> list[str]:
@@ -128,10 +132,7 @@ def _step_names(setting: Setting, journal: Journal, repeats: RepeatLimits) -> li
 
 
 def _seconds(setting: Setting) -> dict[str, float]:
-    """Estimate the time of each measurement on a quiet core without bfloat16, for the progress bar only.
-
-    The bar's remaining time soon follows the measured speed.
-    """
+    """Estimate the time of each measurement on a quiet core without bfloat16, for the progress bar only."""
     paper = 20.0 if setting.accuracy.get("sphere_chord_only") else 85.0
     by_solver = {"paper": paper, "piecewise_linear": 5.0, "plain_sphere_tracing": 0.7}
     once, window = by_solver.get(str(setting.accuracy["solver"]), 0.4), 4.0 if setting.crop_m is None else 0.3

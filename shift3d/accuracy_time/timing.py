@@ -5,38 +5,22 @@ from __future__ import annotations
 import gc
 import os
 import platform
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import timeit
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 
 def milliseconds(call: Callable[[], object]) -> float:
     """Time one call in milliseconds, with the garbage collector disabled."""
-    was_on = gc.isenabled()
     gc.collect()
-    gc.disable()
-    try:
-        start = time.perf_counter()
-        call()
-        return 1e3 * (time.perf_counter() - start)
-    finally:
-        if was_on:
-            gc.enable()
-
-
-def quartiles(samples: Sequence[float]) -> tuple[float, float, float]:
-    """Compute (lower quartile, median, upper quartile) of at least one sample."""
-    low, median, high = np.percentile(np.asarray(samples, dtype=np.float64), (25, 50, 75))
-    return float(low), float(median), float(high)
+    return 1e3 * timeit.timeit(call, number=1)
 
 
 def num_further_timings(first_ms: float, most: int, seconds: float, slow_s: float) -> int:
     """Return the number of further timings of a call: as many as fit into `seconds`, at least 1 and at most `most`.
 
-    first_ms: time of the first run. If the first run exceeds slow_s, the number is 0: the first run is the only timing.
+    first_ms: time of the first run; beyond slow_s it is the only timing (0).
     """
     if first_ms > 1e3 * slow_s:
         return 0
@@ -53,8 +37,7 @@ def interleaved_samples(wanted: Mapping[str, int]) -> Iterator[tuple[str, int]]:
     # The i-th of n samples goes to the middle of the i-th of n equal parts.
     when = {name: [int((i + 0.5) * rounds / n) for i in range(n)] for name, n in wanted.items()}
     for number in range(rounds):
-        names = list(wanted) if number % 2 == 0 else list(wanted)[::-1]
-        for name in names:
+        for name in list(wanted)[:: 1 if number % 2 == 0 else -1]:
             if number in when[name]:
                 yield name, when[name].index(number)
 

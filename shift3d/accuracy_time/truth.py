@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from shift3d.accuracy_time.cases import Case, case_problem
-from shift3d.accuracy_time.errors import TrueHits, chord_lengths, true_hits
+from shift3d.accuracy_time.errors import TrueHits, chord_lengths
 from shift3d.accuracy_time.gradient import attack_step
 from shift3d.accuracy_time.settings import Setting
 from shift3d.attack.objective import (
@@ -37,11 +37,8 @@ SHAPES = ("start", "displaced")
 
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth of one case; dictionaries by shape.
-
-    codes: (d,) float64 latent codes. hits: first hits and their chords. scores: final scores of the float64 detector.
-    unresolved: number of beams that the reference could not decide. dz: (d,), dtheta: (6,) float64 gradient at "start".
-    """
+    """Ground truth of one case, by shape: latent codes (d,) float64, first hits, final scores of the float64 detector,
+    numbers of beams that the reference could not decide; dz (d,), dtheta (6,): float64 gradient at "start"."""
 
     codes: dict[str, Tensor]
     hits: dict[str, TrueHits]
@@ -62,32 +59,26 @@ def make_truth(case: Case, assets: Assets, reference: Setting, search: Setting, 
     searched = case_problem(case, assets, search.accuracy)
     spec = case.spec
     displaced = attacked_code(searched, spec.lambda_ or 0.0, spec.alpha, steps)
-    codes = {"start": problem.code0.double(), "displaced": displaced}
     moved = step.rendering
     if steps:
         with torch.no_grad():
             sdf = problem.field_of(displaced)
             moved = render(problem.beams, sdf, problem.theta0, problem.vehicle, problem.settings)
-    renderings = dict(zip(SHAPES, (step.rendering, moved)))
-    radius_m = spec.attack.detection_radius_m
-    return Truth(
-        codes,
-        {shape: _hits(problem, codes[shape], rendering) for shape, rendering in renderings.items()},
-        {
-            shape: score_of(problem, problem.detector, rendering, SCORE_RADIUS_M, radius_m)
-            for shape, rendering in renderings.items()
-        },
-        {shape: rendering.unresolved_beams for shape, rendering in renderings.items()},
-        step.dz.double(),
-        step.dtheta.double(),
-    )
+    truth = Truth({}, {}, {}, {}, step.dz.double(), step.dtheta.double())
+    both = ((problem.code0.double(), step.rendering), (displaced, moved))
+    for shape, (code, rendering) in zip(SHAPES, both, strict=True):
+        truth.codes[shape], truth.hits[shape] = code, _hits(problem, code, rendering)
+        radius_m = spec.attack.detection_radius_m
+        truth.scores[shape] = score_of(problem, problem.detector, rendering, SCORE_RADIUS_M, radius_m)
+        truth.unresolved[shape] = rendering.unresolved_beams
+    return truth
 
 
 @torch.no_grad()
 def _hits(problem: AttackProblem, code: Tensor, rendering: Rendering) -> TrueHits:
     index = torch.nonzero(rendering.hit_mask).squeeze(1)
-    rays = object_rays(problem.beams, index, problem.theta0)
-    return true_hits(rendering, chord_lengths(problem.metric(code), rays, rendering.range_m[index]))
+    rays, range_m = object_rays(problem.beams, index, problem.theta0), rendering.range_m[index]
+    return TrueHits(index, range_m, chord_lengths(problem.metric(code), rays, range_m))
 
 
 def attacked_code(problem: AttackProblem, lambda_: float, alpha: float, steps: int) -> Tensor:
@@ -105,8 +96,8 @@ def score_of(
 ) -> float:
     """Compute the final score of an existing rendering, as `task.scoring.score_object` does for its own rendering.
 
-    detector: detector in the precision of scores. window_m: radius of the detector's window; None: the whole scene.
-    radius_m: largest distance between the centres of the object and of a bounding box that detects it.
+    detector: in the precision of scores. window_m: radius of the detector's window; None: the whole scene. radius_m:
+    largest distance between the centres of the object and of a bounding box that detects it.
     """
     with torch.no_grad():
         points = to_network_frame(rendering.points.detach(), problem.ground_z_m)
@@ -119,10 +110,9 @@ def write_truth(path: Path, truth: Truth) -> None:
     """Store the ground truth for a resumed run. Raises: InputError: a full or read-only disk."""
     arrays: dict[str, Any] = {"dz": truth.dz.numpy(), "dtheta": truth.dtheta.numpy()}
     for shape in SHAPES:
-        hits = truth.hits[shape]
         arrays |= {f"{shape}.code": truth.codes[shape].numpy(), f"{shape}.score": np.float64(truth.scores[shape])}
-        arrays |= {f"{shape}.index": hits.index.numpy(), f"{shape}.range_m": hits.range_m.numpy()}
-        arrays |= {f"{shape}.chord_m": hits.chord_m.numpy(), f"{shape}.unresolved": np.int64(truth.unresolved[shape])}
+        arrays |= {f"{shape}.{name}": values.numpy() for name, values in vars(truth.hits[shape]).items()}
+        arrays[f"{shape}.unresolved"] = np.int64(truth.unresolved[shape])
     write_arrays(path, **arrays)
 
 
@@ -130,14 +120,14 @@ def read_truth(path: Path) -> Truth:
     """Load the ground truth that `write_truth` stored. Raises: InputError: a damaged file."""
     with read_arrays(path) as arrays:
 
-        def tensor(shape: str, name: str) -> Tensor:
-            return torch.from_numpy(arrays[f"{shape}.{name}"])
+        def tensor(name: str) -> Tensor:
+            return torch.from_numpy(arrays[name])
 
         return Truth(
-            {shape: tensor(shape, "code") for shape in SHAPES},
-            {s: TrueHits(tensor(s, "index"), tensor(s, "range_m"), tensor(s, "chord_m")) for s in SHAPES},
+            {shape: tensor(f"{shape}.code") for shape in SHAPES},
+            {s: TrueHits(*(tensor(f"{s}.{name}") for name in ("index", "range_m", "chord_m"))) for s in SHAPES},
             {shape: float(arrays[f"{shape}.score"]) for shape in SHAPES},
             {shape: int(arrays[f"{shape}.unresolved"]) for shape in SHAPES},
-            torch.from_numpy(arrays["dz"]),
-            torch.from_numpy(arrays["dtheta"]),
+            tensor("dz"),
+            tensor("dtheta"),
         )

@@ -14,10 +14,7 @@ CORNER_SIGNS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
 
 
 def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
-    """Refuse boxes (N, 7) that are not finite or have no volume. where: source of the boxes, for the error.
-
-    Raises InputError: naming the first offending row and column.
-    """
+    """Refuse boxes (N, 7) that are not finite or have no volume. Raises InputError: naming the first row and column."""
     if boxes.ndim != 2 or boxes.shape[1] != 7:
         raise InputError(f"boxes must be (N, 7), not {boxes.shape}", where, "Give x, y, z, dx, dy, dz, heading.")
     names = ("x", "y", "z", "dx", "dy", "dz", "heading")
@@ -25,11 +22,8 @@ def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
     bad[:, 3:6] |= ~(boxes[:, 3:6] > 0.0)
     if bad.any():
         row, column = (int(i) for i in np.argwhere(bad)[0])
-        raise InputError(
-            f"box {row} has {names[column]} = {boxes[row, column]}",
-            where,
-            "Give positive sizes, and finite numbers alone.",
-        )
+        what = f"box {row} has {names[column]} = {boxes[row, column]}"
+        raise InputError(what, where, "Give positive sizes, and finite numbers alone.")
 
 
 def corners_bev(boxes: NDArray[np.floating]) -> Float:
@@ -45,25 +39,16 @@ def corners_bev(boxes: NDArray[np.floating]) -> Float:
 def corners_3d(boxes: NDArray[np.floating]) -> Float:
     """Compute the corners (N, 8, 3) of boxes (N, 7): the footprint at the bottom, then at the top."""
     boxes = np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
-    footprint = corners_bev(boxes)
-    bottom = np.broadcast_to((boxes[:, 2] - boxes[:, 5] / 2.0)[:, None, None], (len(boxes), 4, 1))
-    top = np.broadcast_to((boxes[:, 2] + boxes[:, 5] / 2.0)[:, None, None], (len(boxes), 4, 1))
-    return np.concatenate(
-        (np.concatenate((footprint, bottom), axis=2), np.concatenate((footprint, top), axis=2)), axis=1
-    )
+    height = boxes[:, 2:3] + np.repeat((-0.5, 0.5), 4) * boxes[:, 5:6]
+    return np.concatenate((np.tile(corners_bev(boxes), (1, 2, 1)), height[..., None]), axis=2)
 
 
 def points_in_boxes(
     points: NDArray[np.floating], boxes: NDArray[np.floating], margin_m: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Find which points lie inside which boxes.
+    """Find which points (N, 3) lie inside which boxes (M, 7): (M, N) bool; points on a face are inside.
 
-    Args:
-        points: (N, 3) in the frame of the boxes.
-        boxes: (M, 7).
-        margin_m: distance by which each face is moved outwards.
-
-    Returns: (M, N) bool; points on a face are inside.
+    margin_m: distance by which each face is moved outwards.
     """
     points = np.asarray(points)
     inside = np.zeros((len(boxes), len(points)), dtype=np.bool_)

@@ -11,10 +11,8 @@ Float = NDArray[np.float64]
 
 
 def _overlap_areas(a: Float, b: Float) -> Float:
-    """Compute footprint intersection areas (P,) of boxes a (P, 7) and b (P, 7), pair by pair; exactly 0 if apart.
-
-    Box b is transformed into the frame of box a, so that boxes far from the origin lose no digits.
-    """
+    """Compute footprint intersection areas (P,) of boxes a (P, 7) and b (P, 7), pair by pair; exactly 0 if apart."""
+    # Box b is transformed into the frame of box a, so that boxes far from the origin lose no digits.
     half_a, half_b = a[:, 3:5] / 2.0, b[:, 3:5] / 2.0
     centre = _turned(b[:, :2] - a[:, :2], -a[:, 6])
     turn = b[:, 6] - a[:, 6]
@@ -39,12 +37,10 @@ def _apart(centre: Float, turn_rad: Float, half: Float, half_other: Float) -> ND
 
 
 def _area_within(corners: Float, half: Float) -> Float:
-    """Compute areas (P,) of convex quadrilaterals (P, 4, 2), counter-clockwise, within |x| <= half_x, |y| <= half_y.
-
-    Every point is clipped to the nearest point of the rectangle. Outside parts fall on the rectangle's border and
-    enclose no area, so that the clipped outline encloses the area of the intersection. Between its crossings with the
-    rectangle's lines a clipped edge is straight, so that the polygon formula holds.
-    """
+    """Compute areas (P,) of convex quadrilaterals (P, 4, 2), counter-clockwise, within |x| <= half_x, |y| <= half_y."""
+    # Every point is clipped to the nearest point of the rectangle. Outside parts fall on its border and enclose no
+    # area: the clipped outline encloses the intersection. Between crossings with the rectangle's lines an edge is
+    # straight, so that the polygon formula holds.
     edges = np.roll(corners, -1, axis=1) - corners
     bounds = np.concatenate((half, -half), axis=1)[:, None, :]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -73,10 +69,7 @@ def _as_boxes(boxes: NDArray[np.floating]) -> Float:
 
 
 def iou_bev(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
-    """Compute the rotated intersection over union of footprints.
-
-    Args:
-        a: (N, 7) boxes; b: (M, 7) boxes, same frame.
+    """Compute the rotated intersection over union of footprints of boxes (N, 7) and (M, 7).
 
     Returns: (N, M) float64 in [0, 1]. Boxes without area overlap nothing (0, never NaN).
     """

@@ -25,14 +25,18 @@ def from_quaternion(wxyz: NDArray[np.floating], translation_m: NDArray[np.floati
     if not (np.abs(length - 1.0) <= _TOLERANCE).all() or not np.isfinite(t).all():
         raise InputError("a pose that is no unit quaternion with a finite translation", where, "Copy the file again.")
     w, x, y, z = np.moveaxis(q / length[..., None], -1, 0)
-    pose = np.zeros((*q.shape[:-1], 4, 4))
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    pose[..., :3, :3] = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    pose[..., :3, 3], pose[..., 3, 3] = t, 1.0
+    return rigid(np.stack([np.stack(row, axis=-1) for row in rows], axis=-2), t)
+
+
+def rigid(rotation: Float, translation_m: Float) -> Float:
+    """Join rotations (..., 3, 3) and translations (..., 3) to transforms (..., 4, 4)."""
+    pose = np.zeros((*rotation.shape[:-2], 4, 4))
+    pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = rotation, translation_m, 1.0
     return pose
 
 
@@ -49,10 +53,7 @@ def rotation_of_angles(roll: NDArray[np.floating], pitch: NDArray[np.floating], 
 
 
 def validate_rigid(dst_SE3_src: Float, where: str) -> None:
-    """Refuse a matrix that is not a rotation with a translation.
-
-    Raises InputError: NaN, a mirror image, or axes that are not at right angles and of length 1.
-    """
+    """Refuse a matrix that is not a rotation with a translation. Raises InputError: also for NaN and mirror images."""
     rotation = dst_SE3_src[:3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         askew = np.abs(rotation @ rotation.T - np.eye(3)).max()
@@ -65,11 +66,7 @@ def validate_rigid(dst_SE3_src: Float, where: str) -> None:
 def inverse(dst_SE3_src: Float) -> Float:
     """Invert transforms (..., 4, 4): src_SE3_dst."""
     turned = np.swapaxes(dst_SE3_src[..., :3, :3], -1, -2)
-    result = np.zeros_like(dst_SE3_src)
-    result[..., :3, :3] = turned
-    result[..., :3, 3] = -np.einsum("...ij,...j->...i", turned, dst_SE3_src[..., :3, 3])
-    result[..., 3, 3] = 1.0
-    return result
+    return rigid(turned, -np.einsum("...ij,...j->...i", turned, dst_SE3_src[..., :3, 3]))
 
 
 def moved(points: NDArray[np.floating], dst_SE3_src: Float) -> Float:

@@ -20,11 +20,9 @@ _LOWEST_M, _HIGHEST_M = -4.0, -0.4  # between a truck's roof and a small robot's
 def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
     """Estimate the height of the ground, metres, scene frame, rounded to 1 cm.
 
-    Finds the fullest 5 cm layer between 4 and 12 m from the sensor within 0.35 m of the nominal height. Returns the
-    median of the points within 15 cm of that layer, or the nominal height below 500 points. Source: our choice.
-
-    Args:
-        points: (N, 3) scene frame, origin at the sensor. nominal_z_m: minus the sensor's height above the ground.
+    Finds the fullest 5 cm layer between 4 and 12 m from the sensor within 0.35 m of the nominal height, minus the
+    sensor's height. Returns the median of the points (N, 3), origin at the sensor, within 15 cm of that layer, or the
+    nominal height below 500 points. Source: our choice.
     """
     distance = np.hypot(points[:, 0], points[:, 1])
     z = points[(distance > _NEAR_M) & (distance < _FAR_M), 2].astype(np.float64)
@@ -38,11 +36,8 @@ def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
 
 
 def search_ground_z(points: NDArray[np.float32]) -> float | None:
-    """Run `estimate_ground_z` without a known sensor height. Returns None if too few points lie below the sensor.
-
-    The nominal height is that of the fullest layer of 0.2 m between 4 and 12 m from the sensor, 0.4 to 4 m below it.
-    points: (N, 3) scene frame, origin at the sensor. Source: our choice.
-    """
+    """Run `estimate_ground_z` around the fullest layer of 0.2 m between 4 and 12 m from the sensor, 0.4 to 4 m below
+    it. Returns None if too few points lie there. Source: our choice."""
     distance = np.hypot(points[:, 0], points[:, 1])
     z = points[(distance > _NEAR_M) & (distance < _FAR_M), 2]
     counts, edges = np.histogram(z, bins=np.arange(_LOWEST_M, _HIGHEST_M + 0.1, 0.2))
@@ -83,25 +78,23 @@ class GroundMap:
         counts = np.bincount(cell, minlength=CELLS**2)
         sums = np.bincount(cell, ground[inside, 2], minlength=CELLS**2)
         height = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)
-        drivable = None
-        if areas is not None:
-            drivable = np.zeros((CELLS, CELLS), dtype=np.bool_)
-            for outline in areas:
-                drivable |= _filled(outline[:, :2])
-        return GroundMap(height.reshape(CELLS, CELLS), drivable)
+        height = height.reshape(CELLS, CELLS)
+        if areas is None:
+            return GroundMap(height)
+        drivable = np.zeros((CELLS, CELLS), dtype=np.bool_)
+        for outline in areas:
+            drivable |= _filled(outline[:, :2])
+        return GroundMap(height, drivable)
 
     def height_at(self, x_m: float, y_m: float) -> float | None:
         """Return the height of the ground, scene frame, metres; None if the map has none."""
-        row, column = _cell(x_m), _cell(y_m)
-        known = 0 <= row < CELLS and 0 <= column < CELLS and math.isfinite(self.height_m[row, column])
-        return float(self.height_m[row, column]) if known else None
+        cell = _cell(x_m, y_m)
+        return float(self.height_m[cell]) if cell and math.isfinite(self.height_m[cell]) else None
 
     def allows(self, x_m: float, y_m: float) -> bool:
         """True if the map says that the position is drivable, or has no drivable areas."""
-        if self.drivable is None:
-            return True
-        row, column = _cell(x_m), _cell(y_m)
-        return 0 <= row < CELLS and 0 <= column < CELLS and bool(self.drivable[row, column])
+        cell = _cell(x_m, y_m)
+        return self.drivable is None or (cell is not None and bool(self.drivable[cell]))
 
     def validate(self, where: str) -> None:
         """Refuse grids of another shape or type. Raises InputError: naming the field."""
@@ -110,8 +103,9 @@ class GroundMap:
             require_array(self.drivable, (CELLS, CELLS), np.bool_, f"{where}, ground_map.drivable")
 
 
-def _cell(metres: float) -> int:
-    return math.floor(metres / CELL_M) + CELLS // 2
+def _cell(x_m: float, y_m: float) -> tuple[int, int] | None:
+    row, column = (math.floor(metres / CELL_M) + CELLS // 2 for metres in (x_m, y_m))
+    return (row, column) if 0 <= row < CELLS and 0 <= column < CELLS else None
 
 
 def _filled(outline: Float) -> NDArray[np.bool_]:

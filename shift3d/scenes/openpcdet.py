@@ -62,14 +62,11 @@ class OpenPcdetScenes(RecordedScenes):
     """Frames under a folder or bucket with points/NAME.npy, labels/NAME.txt and ImageSets/SPLIT.txt.
 
     Args:
-        root: holds points/, and optionally labels/ and ImageSets/.
         names: frames to use; None: those of the split, or every file in points/, in order.
-        count: maximum number of frames.
         split: the file in ImageSets/ that lists frames; None: every file in points/.
         sensor_m: position of the LiDAR in the frame of the points and labels, metres; axes are x forward, y left, z up.
         ground_z_m: height of the ground in that frame; None: estimated for each frame.
-        reflectance_max: full reflectance in the fourth column; None: 1, or 255 if the column has such whole numbers.
-        list_unreadable: also list frames of the split whose point file is missing; loading one raises InputError.
+        reflectance_max: full reflectance in the fourth column; None: see `full_reflectance`.
 
     A scene's origin is the LiDAR: points and boxes are moved there. A frame's points are rows of x, y, z and, from four
     columns on, reflectance. A label is ``x y z dx dy dz heading class``: box centre, heading counter-clockwise from +x.
@@ -96,17 +93,14 @@ class OpenPcdetScenes(RecordedScenes):
         inside = names_in(self.root)
         if "points" not in inside:
             raise InputError("no folder points/", str(self.root), "Give the folder that holds points/ and labels/")
-        self._has_labels = "labels" in inside
+        self._has_labels, self._found_in = "labels" in inside, self.root / "points"
         self.names()
 
-    def _found_in(self) -> str:
-        return str(self.root / "points")
-
     def _found(self) -> list[str]:
-        files = (self.root / "points").names()
+        files = self._found_in.names()
         found = [name.removesuffix(".npy") for name in files if name.endswith(".npy")]
         if files and not found:
-            raise InputError(f"no .npy file among {abbreviated_list(files)}", self._found_in(), _CONVERT)
+            raise InputError(f"no .npy file among {abbreviated_list(files)}", str(self._found_in), _CONVERT)
         if self._split is None:
             return found
         listed_in = self.root / "ImageSets" / f"{self._split}.txt"
@@ -181,7 +175,7 @@ def _listed_in(file: Location) -> list[str]:
 
 
 def _read_points(file: Location) -> NDArray[np.float64]:
-    """Read the array (N, C) float64 of a .npy file, C >= 3. Raises InputError: missing, damaged, or something else."""
+    """Read the array (N, C) float64 of a .npy file, C >= 3."""
     values = read_array(file)
     if values.ndim != 2 or values.shape[1] < 3:
         what = f"{values.shape}, not rows of x, y, z and reflectance"

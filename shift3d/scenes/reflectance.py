@@ -27,11 +27,8 @@ def full_reflectance(
     whole, one value beyond 1 is enough, as in a dark frame. Raw intensities cannot be recognised: the largest value
     differs from scene to scene and is never used.
 
-    Args:
-        values: (N,) of one file, finite. where: the file, for errors. remedy: advice if no scale fits.
-
-    Raises InputError, naming file and row: a maximum out of range; more than `STRAY_SHARE` of the values off the scale.
-    Source: our choice; mixed scales turned whole frames into fog in a public simulator.
+    Raises InputError, naming file and row: a maximum out of range; more than `STRAY_SHARE` of the values (N,) off the
+    scale. Source: our choice; mixed scales turned whole frames into fog in a public simulator.
     """
     if stated is not None:
         if not 0.0 < stated <= MOST_RAW:
@@ -49,10 +46,8 @@ def full_reflectance(
 
 
 def _off_scale(values: NDArray[np.floating], full: float, whole: bool = False) -> NDArray[np.bool_]:
-    """Return the mask (N,) of values off a scale; empty if they are few. whole: only whole numbers may exceed 1.
-
-    If hardly any value exceeds 1, fractions show the scale 0 to 1, even if another scale is stated.
-    """
+    """Return the mask (N,) of values off a scale; empty if they are few. whole: only whole numbers may exceed 1."""
+    # If hardly any value exceeds 1, fractions show the scale 0 to 1, even if another scale is stated.
     few = STRAY_SHARE * len(values)
     misfits: NDArray[np.bool_] = (values < 0.0) | (values > full)
     if full > 1.0 and (whole or (values > 1.0).sum() <= few):

@@ -28,7 +28,7 @@ class Labels:
     """Labelled objects of one scene.
 
     Attributes:
-        boxes: (M, 7) float64, scene frame: x, y, z of the centre, dx, dy, dz (metres), heading from +x (radians).
+        boxes: (M, 7) float64, scene frame, see `geometry.boxes`.
         classes: M class names of shift3d: "vehicle", "pedestrian", "cyclist", "other".
         num_points: (M,) int32, points of the scene inside each box.
         names: M class names of the data set ("Car", "Van", ...); empty if it has none.
@@ -50,10 +50,7 @@ class Labels:
         return np.array([label == name for label in self.classes], dtype=np.bool_)
 
     def validate(self, where: str) -> None:
-        """Refuse labels that do not fit together. where: the scene, for the error.
-
-        Raises InputError: naming the field, the row and the remedy.
-        """
+        """Refuse labels that do not fit together. Raises InputError: naming scene, field, row and remedy."""
         validate_boxes(self.boxes, f"{where}, labels.boxes")
         count = len(self.boxes)
         for name, one in (("classes", "class"), ("names", "name"), ("kinds", "kind")):
@@ -76,7 +73,6 @@ class Conditions:
 
     Attributes:
         weather: one of :data:`WEATHERS`.
-        rain_mm_h: rain rate; 0 without rain.
         snow_mm_h: rate of snowfall as melted water; 0 without snow.
         visibility_m: meteorological optical range; infinite in clear air.
         ego_velocity_m_s: (vx, vy, vz) of the sensor in the scene frame; None if unknown.
@@ -115,8 +111,6 @@ class Scene:
     """One sweep in the `scene` frame: origin at the main LiDAR, x forward, y left, z up, metres.
 
     Attributes:
-        scene_id: unique name within its data set.
-        dataset: "kitti", "street-hdl64", "street-waymo_top", ...
         points: (N, 3) float32. A point at its own origin (zero range) carries no beam: see :attr:`has_beam`.
         origins: (N, 3) float32, start of each point's beam at its sensor; may be a view of one row.
         ground_z_m: nominal height of the ground around the sensor (-1.73 for KITTI).
@@ -157,12 +151,7 @@ class Scene:
         return mask
 
     def validate(self) -> None:
-        """Refuse a scene that cannot be rendered into.
-
-        Checks shapes, dtypes and finite values of all fields, origins within 10 km, at least one point with a beam,
-        labels and conditions.
-        Raises InputError: naming scene, field, row and remedy.
-        """
+        """Refuse a scene that cannot be rendered into. Raises InputError: naming scene, field, row and remedy."""
         where = f"scene {self.scene_id}"
         if not self.scene_id or not self.dataset:
             raise InputError("empty scene_id or dataset", where, "Name both.")
@@ -193,10 +182,7 @@ class Scene:
                 part.validate(where)
 
     def content_hash(self) -> str:
-        """Compute the BLAKE2b-128 hex digest of the whole record; equal content gives equal digests on any machine.
-
-        Arrays enter as little-endian bytes with name, dtype and shape; a broadcast view and its copy agree.
-        """
+        """Compute the BLAKE2b-128 hex digest of the whole record; equal content gives equal digests on any machine."""
         digest = hashlib.blake2b(digest_size=16)
         header = {
             "scene_id": self.scene_id,
@@ -223,13 +209,16 @@ class Scene:
 
     def _fields(self) -> list[tuple[str, NDArray[np.generic], type[np.generic], int | None]]:
         """List per-point arrays that are not None: name, values, required dtype, columns (None: one-dimensional)."""
-        fields: list[tuple[str, NDArray[np.generic] | None, type[np.generic], int | None]] = [
-            ("points", self.points, np.float32, 3),
-            ("origins", self.origins, np.float32, 3),
-            ("reflectance", self.reflectance, np.float32, None),
-            ("return_number", self.return_number, np.uint8, None),
-            ("time_s", self.time_s, np.float32, None),
-            ("range_image_index", self.range_image_index, np.int32, 2),
-            ("in_no_label_zone", self.in_no_label_zone, np.bool_, None),
-        ]
-        return [(name, values, dtype, columns) for name, values, dtype, columns in fields if values is not None]
+        fields = ((name, getattr(self, name), dtype, columns) for name, dtype, columns in _POINT_FIELDS)
+        return [field for field in fields if field[1] is not None]
+
+
+_POINT_FIELDS: tuple[tuple[str, type[np.generic], int | None], ...] = (
+    ("points", np.float32, 3),
+    ("origins", np.float32, 3),
+    ("reflectance", np.float32, None),
+    ("return_number", np.uint8, None),
+    ("time_s", np.float32, None),
+    ("range_image_index", np.int32, 2),
+    ("in_no_label_zone", np.bool_, None),
+)

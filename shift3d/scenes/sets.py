@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
 STREET_SPLITS = ("train", "val", "test")
-
-
 _STREET = re.compile(r"(street-[a-z]+-([a-z0-9_]+)-\d{6,})(?:-(?!seed\d+$)[a-z0-9._-]+?)?(-seed\d+)?")
 _BY_DRIVE = ("waymo", "argoverse2")
 """Data sets whose frames are named "DRIVE-TIMESTAMP", with ten frames a second of one drive."""
@@ -36,9 +34,8 @@ _BY_DRIVE = ("waymo", "argoverse2")
 def independent_group_of(dataset: str, scene: str) -> str:
     """Return the place of a scene, "DATASET/PLACE". Scenes of one place are not independent draws.
 
-    All scenes of one street share a place, in any set (such as one of mixed sensors) and with any options (such as
-    other beams or weather). So do all frames of one segment (Waymo) or log (Argoverse 2). Scene names of other
-    recordings do not tell the drive, so that each scene is its own place.
+    All scenes of one street share a place, in any set and with any options. So do all frames of one segment (Waymo) or
+    log (Argoverse 2). Names of other recordings do not tell the drive: each scene is its own place.
     """
     if found := _STREET.fullmatch(scene):
         return f"street-{found[2]}/{found[1]}{found[3] or ''}"
@@ -46,39 +43,38 @@ def independent_group_of(dataset: str, scene: str) -> str:
     return f"{dataset}/{drive or scene}"
 
 
-class SceneSet(Protocol):
+class SceneSet(ABC):
     """Source of the scenes of tasks.
 
-    Attributes:
-        dataset: name for result rows.
-        placement_sector_rad: (centre, half width) of the azimuths of insertion; the data set labels scenes there.
+    placement_sector_rad: (centre, half width) of the azimuths of insertion; the data set labels scenes there.
     """
 
-    @property
-    def dataset(self) -> str: ...
+    placement_sector_rad: tuple[float, float] = (0.0, float(np.pi))
 
     @property
-    def placement_sector_rad(self) -> tuple[float, float]: ...
+    @abstractmethod
+    def dataset(self) -> str:
+        """Name for result rows."""
 
+    @abstractmethod
     def names(self) -> list[str]:
-        """List the scene names, in a fixed order."""
-        ...
+        """List the scene names, in a fixed order. Raises InputError: damaged files of the list, or no scenes."""
 
+    @abstractmethod
     def load(self, name: str) -> Scene:
-        """Load and validate the scene of a name. Raises InputError: an unknown name or a bad frame."""
-        ...
+        """Load and validate a scene. Raises InputError: an unknown name, or a bad frame: its file, place and remedy."""
 
     def configured(self, name: str) -> tuple[str, SceneFacts] | None:
         """Return data set and facts of a scene if its configuration alone gives them; None: it must be loaded."""
-        ...
+        return None
 
+    @abstractmethod
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """Return plain values that change whenever the scene may: its configuration, or the state of its files."""
-        ...
 
 
-class RecordedScenes(ABC):
-    """`SceneSet` of recorded files. Objects are placed all around, unless a subclass restricts the sector.
+class RecordedScenes(SceneSet):
+    """Scenes of recorded files. A subclass sets `_found_in`, the searched location, if it is not the root.
 
     Args:
         root: folder or bucket.
@@ -88,19 +84,15 @@ class RecordedScenes(ABC):
     """
 
     dataset: str
-    placement_sector_rad: tuple[float, float] = (0.0, float(np.pi))
 
     def __init__(
         self, root: LocationLike, names: Sequence[str] | None, count: int | None, list_unreadable: bool
     ) -> None:
         self.root, self._count, self.list_unreadable = as_location(root), count, list_unreadable
         self._wanted = None if names is None else list(dict.fromkeys(names))[:count]
+        self._found_in = self.root
 
     def names(self) -> list[str]:
-        """List the names of the scenes.
-
-        Raises InputError: damaged files of the list, an unknown name, or no scenes.
-        """
         return list(self._listed)
 
     @functools.cached_property
@@ -111,30 +103,24 @@ class RecordedScenes(ABC):
         found = list(islice(self._found(), self._count if wanted is None else None))
         if missing := sorted(set(wanted or ()) - set(found)):
             remedy = f"Choose from: {abbreviated_list(found)}" if found else "Check its name"
-            raise InputError(f"no scene {missing[0]!r}", self._found_in(), remedy)
+            raise InputError(f"no scene {missing[0]!r}", str(self._found_in), remedy)
         listed = found if wanted is None else wanted
         if not listed:
             remedy = "Give another folder" if wanted is None else "Name some in scenes.names, or give null for all"
-            raise InputError("no scenes", self._found_in(), remedy)
+            raise InputError("no scenes", str(self._found_in), remedy)
         return listed
 
     @abstractmethod
     def _found(self) -> Iterable[str]:
         """List the existing scenes, in order; may omit scenes that are not wanted."""
 
-    @abstractmethod
-    def _found_in(self) -> str:
-        """Return the searched location, for errors."""
-
     def _require_listed(self, name: str) -> None:
-        """Raise InputError if the set has no scene of this name."""
         if name not in self._listed:
             raise InputError(
                 f"unknown scene {name!r}", str(self.root), f"Choose from: {abbreviated_list(self._listed)}"
             )
 
     def load(self, name: str) -> Scene:
-        """Load one scene. Raises InputError: naming the file, the line, row or key in it, and the remedy."""
         scene = self._read(name)
         scene.validate()
         return scene
@@ -143,12 +129,7 @@ class RecordedScenes(ABC):
     def _read(self, name: str) -> Scene:
         """Load one scene without validation."""
 
-    def configured(self, name: str) -> None:
-        """Return None: the facts of a recorded scene need its points."""
-        return
-
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """Return the settings of a scene, and path and version of each of its files; see `SceneSet`."""
         settings, files = self._settings_and_files(name)
         return (self.dataset, name, *settings, *(f"{file.absolute()}: {file.version()}" for file in files))
 
@@ -162,21 +143,16 @@ def shared_origins(points: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape)
 
 
-class StreetScenes:
+class StreetScenes(SceneSet):
     """Procedural street scenes, generated on demand.
 
     Args:
         sensor: "hdl64", "waymo_top", or "mixed" (even indices hdl64, odd ones waymo_top).
-        seed: another seed gives other scenes.
         count: number of names in the set, from index ``start`` on.
         split: "train", "val" or "test": disjoint layouts and vehicles.
-        start: first index.
-        options: optional properties of the scenes; off by default.
 
     Raises InputError: an unknown sensor or split, a count below 1, or held-out traffic on split train.
     """
-
-    placement_sector_rad = (0.0, float(np.pi))
 
     def __init__(
         self,
@@ -199,7 +175,6 @@ class StreetScenes:
 
     @property
     def dataset(self) -> str:
-        """Name "street-", the sensor, and the tag of the options that are on."""
         return f"street-{self.sensor}{self.options.tag}"
 
     def names(self) -> list[str]:
@@ -239,7 +214,6 @@ class StreetScenes:
         return f"street-{sensor}{self.options.tag}", street_facts(name, sensor, self.options)
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """Return the name, which determines the scene; see `SceneSet`."""
         return ("street", name)
 
     def _name(self, index: int) -> str:

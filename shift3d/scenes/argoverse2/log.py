@@ -18,6 +18,8 @@ from shift3d.scenes.file_checks import opened, stems_in
 from shift3d.scenes.scene import Labels
 from shift3d.store.location import Location
 
+Float = NDArray[np.float64]
+
 _AGAIN = "Copy it again"
 _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 
@@ -40,10 +42,7 @@ def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
 
 
 def column(table: pa.Table, name: str, dtype: type[np.generic], file: Location) -> NDArray[Any]:
-    """Return one numeric column (rows,), cast to a dtype.
-
-    Raises InputError: it is not numeric, has gaps, or holds a value that is no integer where the dtype is one.
-    """
+    """Return one numeric column (rows,), cast to a dtype. Raises InputError: it is not numeric, or has gaps."""
     found = table[name]
     number = pa.types.is_integer(found.type) or pa.types.is_floating(found.type)
     if found.null_count or not number:
@@ -61,22 +60,18 @@ def poses(table: pa.Table, file: Location) -> NDArray[np.float64]:
     return from_quaternion(numbers[:, :4], numbers[:, 4:], str(file))
 
 
-Float = NDArray[np.float64]
-
 UP, DOWN = "up_lidar", "down_lidar"
 BEAMS_A_LIDAR = 32
 """Laser numbers below this belong to the upper LiDAR, the others to the lower LiDAR."""
-_VEHICLES = """REGULAR_VEHICLE LARGE_VEHICLE BUS BOX_TRUCK TRUCK TRUCK_CAB SCHOOL_BUS ARTICULATED_BUS VEHICULAR_TRAILER
-RAILED_VEHICLE MESSAGE_BOARD_TRAILER TRAFFIC_LIGHT_TRAILER"""
-_PEDESTRIANS = "PEDESTRIAN OFFICIAL_SIGNALER"
-_CYCLISTS = "BICYCLIST MOTORCYCLIST WHEELED_RIDER"
-_OTHER = """ANIMAL BICYCLE BOLLARD CONSTRUCTION_BARREL CONSTRUCTION_CONE DOG MOBILE_PEDESTRIAN_CROSSING_SIGN MOTORCYCLE
-SIGN STOP_SIGN STROLLER WHEELCHAIR WHEELED_DEVICE"""
-CLASSES = {
-    name: kind
-    for names, kind in ((_VEHICLES, "vehicle"), (_PEDESTRIANS, "pedestrian"), (_CYCLISTS, "cyclist"), (_OTHER, "other"))
-    for name in names.split()
+_CATEGORIES = {
+    "vehicle": """REGULAR_VEHICLE LARGE_VEHICLE BUS BOX_TRUCK TRUCK TRUCK_CAB SCHOOL_BUS ARTICULATED_BUS
+        VEHICULAR_TRAILER RAILED_VEHICLE MESSAGE_BOARD_TRAILER TRAFFIC_LIGHT_TRAILER""",
+    "pedestrian": "PEDESTRIAN OFFICIAL_SIGNALER",
+    "cyclist": "BICYCLIST MOTORCYCLIST WHEELED_RIDER",
+    "other": """ANIMAL BICYCLE BOLLARD CONSTRUCTION_BARREL CONSTRUCTION_CONE DOG MOBILE_PEDESTRIAN_CROSSING_SIGN
+        MOTORCYCLE SIGN STOP_SIGN STROLLER WHEELCHAIR WHEELED_DEVICE""",
 }
+CLASSES = {name: kind for kind, names in _CATEGORIES.items() for name in names.split()}
 _FARTHEST_NS = 20_000_000  # from a sweep's start and last firing to the nearest pose; poses are 5 to 10 ms apart
 _SHORTEST_NS, _LONGEST_NS = 1_000_000, 200_000_000  # of a sweep's last firing: a hundredth of a turn, and two turns
 _AT_ONCE = np.zeros(1, dtype=np.int64)
@@ -85,11 +80,8 @@ _TENTH_NS = 100_000_000  # interval of the velocity estimate
 
 @dataclass(frozen=True)
 class Sweep:
-    """One turn of both LiDARs, in the order of the file.
-
-    points: (N, 3) float32, metres, vehicle frame at the sweep's start. reflectance: (N,) float32, 0 to 1. is_up: (N,)
-    bool, point of the upper LiDAR. offset_ns: (N,) int64 since the sweep's start.
-    """
+    """One turn of both LiDARs, in the order of the file. points: (N, 3), metres, vehicle frame at the sweep's start.
+    reflectance: (N,), 0 to 1. is_up: (N,), point of the upper LiDAR. offset_ns: (N,) since the sweep's start."""
 
     points: NDArray[np.float32]
     reflectance: NDArray[np.float32]
@@ -179,8 +171,7 @@ def _city_poses(log: Location) -> tuple[NDArray[np.int64], Float]:
 def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offset: Float) -> Labels:
     """Read the boxes of a sweep, in file order; none if the sweep or the log (test split) has no annotations.
 
-    Args:
-        points: (N, 3) scene frame; counted in the boxes. offset: (3,) scene origin in the vehicle frame, metres.
+    points: (N, 3) scene frame; counted in the boxes. offset: (3,) scene origin in the vehicle frame, metres.
 
     Raises InputError: the file is damaged, of another log, or has an unknown category.
     """

@@ -36,15 +36,13 @@ class Argoverse2Scenes(RecordedScenes):
     Args:
         root: a split (train/, val/, test/), which holds logs, or one log.
         names: ``LOG-TIMESTAMP`` of the sweeps to use; None: every sweep, in order.
-        count: maximum number of sweeps; the search stops there.
         every: use every n-th sweep of each log; has no effect on named sweeps.
-        list_unreadable: also list named sweeps that do not exist; loading one raises InputError.
 
     A scene's origin is the upper LiDAR, its axes are the vehicle's, its time 0 the sweep's start. Points keep the order
     of the file. Every beam starts at its LiDAR's position at the firing time (two LiDARs of 32 beams, one above the
     other). Points are motion compensated to the sweep's start. The files store coordinates as float16: a point is up to
     half a step off along each axis, 1 mm within 2 m, 8 mm within 32 m, 3 cm beyond 64 m of the rear axle along that
-    axis. Beams through these points are off by as much, across and along; directions by 0.5 mrad, on average less.
+    axis; directions by 0.5 mrad, on average less.
 
     Placements have the drivable areas and heights (float16: 3 to 6 cm) of a log's map/, if any; see `GroundMap`.
 
@@ -99,9 +97,6 @@ class Argoverse2Scenes(RecordedScenes):
         mounts = log / "calibration" / "egovehicle_SE3_sensor.feather"
         return (), (sweep_file(log, timestamp), *shared, mounts, *map_files(log))
 
-    def _found_in(self) -> str:
-        return str(self.root)
-
     def _found(self) -> Iterator[str]:
         requested = None if self._wanted is None else {name.rpartition("-")[0] for name in self._wanted}
         every, bare = self.every if requested is None else 1, True
@@ -118,9 +113,8 @@ class Argoverse2Scenes(RecordedScenes):
     def _split(self, name: str) -> tuple[Location, int]:
         log, _, timestamp = name.rpartition("-")
         if log not in self._logs or not timestamp.isdecimal():
-            raise InputError(
-                f"unknown scene {name!r}", str(self.root), f"Choose a log from: {abbreviated_list(self._logs)}"
-            )
+            remedy = f"Choose a log from: {abbreviated_list(self._logs)}"
+            raise InputError(f"unknown scene {name!r}", str(self.root), remedy)
         return self._logs[log], int(timestamp)
 
 

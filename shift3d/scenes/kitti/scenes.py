@@ -36,7 +36,6 @@ class KittiScenes(RecordedScenes):
     Args:
         root: the folder that holds ``training/``, or ``training`` itself.
         names: frame numbers to use ("000134"); None: every frame that has a point file, sorted.
-        count: maximum number of frames.
         reflectance_max: file value of full reflectance; None: 1, as in KITTI's own files.
         list_unreadable: also list frames whose files are missing; loading one raises InputError.
 
@@ -68,13 +67,11 @@ class KittiScenes(RecordedScenes):
                 remedy = "Give the folder that holds KITTI's training/ folder."
                 raise InputError(f"no folder training/{part}", str(self.root), remedy)
         self._labels_in = self.folder / "label_2" if "label_2" in parts else None
+        self._found_in = self.folder / "velodyne"
         self.names()
 
-    def _found_in(self) -> str:
-        return str(self.folder / "velodyne")
-
     def _found(self) -> list[str]:
-        frames = set(stems_in(self.folder / "velodyne", ".bin"))
+        frames = set(stems_in(self._found_in, ".bin"))
         labelled = set() if self._labels_in is None else set(stems_in(self._labels_in, ".txt"))
         orphans = sorted(labelled - frames)
         if orphans and self._wanted is None and not self.list_unreadable:
@@ -107,23 +104,15 @@ class KittiScenes(RecordedScenes):
         return read_calibration(self.folder / "calib" / f"{name}.txt")
 
     def label_rows(self, name: str) -> list[KittiLabel]:
-        """Read the labels of one frame with their image data, in the order of the scene's labels.
-
-        Raises InputError: the label file is missing or malformed.
-        """
+        """Read the labels of one frame with their image data, in the order of the scene's. Raises: as `read_labels`."""
         return read_labels(self.folder / "label_2" / f"{name}.txt", self.camera_view(name))
 
     def _labels(self, name: str, points: NDArray[np.float32]) -> Labels:
         if self._labels_in is None:
             return Labels()
         rows = self.label_rows(name)
-        boxes = np.stack([row.box for row in rows]) if rows else np.zeros((0, 7))
-        return Labels(
-            boxes=boxes,
-            classes=tuple(CLASSES[row.name] for row in rows),
-            num_points=count_in_boxes(points, boxes),
-            names=tuple(row.name for row in rows),
-        )
+        boxes, names = np.array([row.box for row in rows]).reshape(-1, 7), tuple(row.name for row in rows)
+        return Labels(boxes, tuple(CLASSES[name] for name in names), count_in_boxes(points, boxes), names)
 
 
 def _ground_z(points: NDArray[np.float32]) -> float:

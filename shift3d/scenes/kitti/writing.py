@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.geometry.boxes import corners_3d
+from shift3d.geometry.rigid import rigid
 from shift3d.scenes.kitti.files import GROUND, IMAGE_SIZE, Calibration
 
 _P2 = np.array([[721.5377, 0.0, 609.5593, 0.0], [0.0, 721.5377, 172.854, 0.0], [0.0, 0.0, 1.0, 0.0]])
 _CAMERA_R_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-CALIBRATION = Calibration(_P2, np.block([[_CAMERA_R_LIDAR, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
+CALIBRATION = Calibration(_P2, rigid(_CAMERA_R_LIDAR, np.zeros(3)))
 """Camera at the LiDAR's position with KITTI's focal length, because scenes have no camera."""
 _NAMES = {"vehicle": "Car", "pedestrian": "Pedestrian", "cyclist": "Cyclist"}
 
@@ -35,30 +36,22 @@ def frame_files(
     boxes: NDArray[np.float64],
     classes: Sequence[str],
 ) -> dict[str, bytes]:
-    """Return the files of one frame by their path under KITTI's root.
-
-    Args:
-        name: of the frame, such as "000000". points: (N, 3) LiDAR frame. reflectance: (N,) 0 to 1.
-        boxes: (M, 7) LiDAR frame, all around; KITTI itself labels only the camera's view. classes: M of shift3d's.
-    """
-    rotation = " ".join(f"{value:.12e}" for value in np.eye(3).ravel())
-    projection = " ".join(f"{value:.12e}" for value in _P2.ravel())
-    lidar = " ".join(f"{value:.12e}" for value in CALIBRATION.camera_T_lidar[:3].ravel())
-    calibration = f"P2: {projection}\nR0_rect: {rotation}\nTr_velo_to_cam: {lidar}\n"
+    """Return the files of a frame, such as "000000", by their path under KITTI's root, from points (N, 3) and boxes
+    (M, 7), all around, in the LiDAR frame. KITTI itself labels only the camera's view."""
+    matrices = {"P2": _P2, "R0_rect": np.eye(3), "Tr_velo_to_cam": CALIBRATION.camera_T_lidar[:3]}
+    lines = (f"{key}: {' '.join(f'{value:.12e}' for value in matrices[key].ravel())}\n" for key in matrices)
     labels = "".join(f"{label_line(kind, box)}\n" for kind, box in zip(classes, boxes, strict=True))
     return {
         f"training/velodyne/{name}.bin": velodyne_bytes(points, reflectance),
-        f"training/calib/{name}.txt": calibration.encode(),
+        f"training/calib/{name}.txt": "".join(lines).encode(),
         f"training/label_2/{name}.txt": labels.encode(),
         f"training/{GROUND}/{name}.txt": f"{ground_z_m!r}\n".encode(),
     }
 
 
 def label_line(kind: str, box: NDArray[np.float64]) -> str:
-    """Format a box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`.
-
-    Occlusion is 3, unknown. The image box is clipped to the image, and empty if the camera does not see the object.
-    """
+    """Format a box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`. Occlusion is unknown;
+    the image box is clipped to the image, and empty if the camera does not see the object."""
     x, y, z, length, width, height, heading = (float(value) for value in box)
     bottom = CALIBRATION.camera_T_lidar[:3, :3] @ np.array([x, y, z - height / 2.0])
     turn = math.remainder(-heading - math.pi / 2.0, 2.0 * math.pi)

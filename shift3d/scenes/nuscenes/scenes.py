@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.rigid import inverse, moved
+from shift3d.geometry.rigid import inverse, moved, rigid
 from shift3d.scenes.file_checks import abbreviated_list, names_in, read_records, require_metres, stems_in
 from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.nuscenes.tables import LidarFile, Poses, Release, boxes_of, read_annotations, read_weather
@@ -35,17 +35,14 @@ class NuScenesScenes(RecordedScenes):
     Args:
         root: holds v1.0-*/, samples/ and sweeps/; or *.pcd.bin files, which have no labels, poses or other sweeps.
         names: samples (tokens) to use, or stems of files without tables; None: all, in order of time.
-        count: maximum number of scenes.
         version: the folder of tables, such as v1.0-mini; None: the only folder.
         sweeps: number of sweeps in a scene: the key frame and those before it, fewer at the start of a drive.
-        list_unreadable: also list names that no table has; loading one raises InputError.
 
     A scene's origin is the LiDAR at the key frame, its axes are the vehicle's. Its points are the key frame's, in the
     order of the file, then those of each earlier sweep, moved to the key frame by the vehicle's poses. Beams start at
-    the sensor's position in their sweep. All points of a sweep have the same firing time: 0 for the key frame, minus
-    the sweep's age for earlier sweeps. An inserted vehicle therefore stands still across sweeps as the world does, and
-    with `effects.object_speed_m_s` each sweep meets it at its position at that time. The data set has motion
-    compensated the points of a sweep. Poses have roll and pitch, but no height.
+    the sensor's position in their sweep. All points of a sweep, which the data set has motion compensated, have the
+    same firing time: 0 for the key frame, minus the sweep's age for earlier sweeps. With `effects.object_speed_m_s`
+    each sweep meets an inserted vehicle at its position at that time. Poses have roll and pitch, but no height.
 
     Raises InputError: neither tables nor files, several versions to choose from, or several sweeps without tables.
     """
@@ -64,6 +61,7 @@ class NuScenesScenes(RecordedScenes):
         super().__init__(root, names, count, list_unreadable)
         self.sweeps = sweeps
         self._tables = _tables(self.root, version)
+        self._found_in = self._tables / "sample_data.json" if self._tables else self.root
         self._stems = [] if self._tables else stems_in(self.root, _SUFFIX)
         if self._tables is None and not self._stems:
             what = f"neither tables v1.0-*/ nor *{_SUFFIX} files"
@@ -83,7 +81,7 @@ class NuScenesScenes(RecordedScenes):
         files = self._files(name)
         poses, mounts = self._poses
         key = files[0]
-        global_SE3_scene = poses[key.pose] @ _at(mounts[key.mount])
+        global_SE3_scene = poses[key.pose] @ rigid(np.eye(3), mounts[key.mount][:3, 3])
         parts = []
         for file in files:
             scene_SE3_lidar = inverse(global_SE3_scene) @ poses[file.pose] @ mounts[file.mount]
@@ -106,15 +104,11 @@ class NuScenesScenes(RecordedScenes):
         if self._tables is None:
             return (self.sweeps,), [_stem_file(self.root, name)]
         parts = self._files(name) if name in self._release.key_frames else []
-        tables = [self._tables / table for table in self._table_names]
-        return (self.sweeps,), [*(self.root / part.filename for part in parts), *tables]
+        return (self.sweeps,), [*(self.root / part.filename for part in parts), *self._table_files]
 
     @functools.cached_property
-    def _table_names(self) -> list[str]:
-        return [] if self._tables is None else self._tables.names()
-
-    def _found_in(self) -> str:
-        return str(self.root if self._tables is None else self._tables / "sample_data.json")
+    def _table_files(self) -> list[Location]:
+        return [] if self._tables is None else [self._tables / name for name in self._tables.names()]
 
     def _found(self) -> Iterable[str]:
         return self._stems if self._tables is None else self._release.key_frames
@@ -165,9 +159,8 @@ def _tables(root: Location, version: str | None) -> Location | None:
     found = [name for name in names_in(root) if name.startswith("v1.0-") and not (root / name).is_file()]
     if version is not None:
         if version not in found:
-            raise InputError(
-                f"no tables {version}/", str(root), f"Choose from: {abbreviated_list(found) or 'none there'}"
-            )
+            remedy = f"Choose from: {abbreviated_list(found) or 'none there'}"
+            raise InputError(f"no tables {version}/", str(root), remedy)
         return root / version
     if len(found) > 1:
         raise InputError(f"{len(found)} versions of tables", str(root), f"Give one: scenes.version={found[0]}")
@@ -178,21 +171,11 @@ def _stem_file(root: Location, stem: str) -> Location:
     return root / f"{stem}{_SUFFIX}"
 
 
-def _at(vehicle_SE3_lidar: Float) -> Float:
-    """Return vehicle_SE3_scene: the sensor's position with the vehicle's axes."""
-    placed = np.eye(4)
-    placed[:3, 3] = vehicle_SE3_lidar[:3, 3]
-    return placed
-
-
 def _sweep(
     root: Location, file: LidarFile, scene_SE3_lidar: Float, key_time_us: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Read points, origins, reflectance and firing times of one sweep, in the frame of the key frame's scene."""
-    place = root
-    for part in file.filename.split("/"):
-        place = place / part
-    values = _lidar_rows(place)
+    values = _lidar_rows(root / file.filename.lstrip("/"))
     if file.time_us != key_time_us:
         values = values[(np.abs(values[:, :2]) >= OWN_VEHICLE_M).any(axis=1)]
     points = moved(values[:, :3], scene_SE3_lidar).astype(np.float32)

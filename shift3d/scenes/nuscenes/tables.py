@@ -88,10 +88,8 @@ class LidarFile:
 
 @dataclass
 class Release:
-    """Tables of one version, restricted to LIDAR_TOP.
-
-    lidar: files by token, with sweeps between key frames. key_frames: file token by sample, in order of time.
-    """
+    """Tables of one version, restricted to LIDAR_TOP: files by token, and key frames' tokens by sample, in order of
+    time."""
 
     folder: Location
     lidar: dict[str, LidarFile]
@@ -136,10 +134,10 @@ def pose_of(row: Mapping[str, Any], where: str) -> NDArray[np.float64]:
     """Convert a row's translation and rotation (w, x, y, z) to a pose (4, 4). Raises InputError: they are no pose."""
     try:
         rotation, translation = (np.array(row[name], dtype=np.float64) for name in ("rotation", "translation"))
+        if rotation.shape != (4,) or translation.shape != (3,):
+            raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError("no rotation and translation", where, _AGAIN) from error
-    if rotation.shape != (4,) or translation.shape != (3,):
-        raise InputError("no rotation and translation", where, _AGAIN)
     return from_quaternion(rotation, translation, where)
 
 
@@ -164,9 +162,7 @@ def class_of(category: str) -> str:
 def read_annotations(folder: Location, samples: set[str]) -> dict[str, list[dict[str, Any]]]:
     """Read the annotations by sample, each with its ``category``; empty if the release has none (test split).
 
-    The category is None if its row or the instance's row is missing: `boxes_of` refuses that annotation.
-
-    Raises InputError: a table is missing or damaged.
+    The category is None if its row is missing: `boxes_of` refuses that annotation. Raises InputError: a damaged table.
     """
     found: dict[str, list[dict[str, Any]]] = {sample: [] for sample in samples}
     for row in table_rows(folder / "sample_annotation.json"):
@@ -206,13 +202,10 @@ _RAIN = re.compile(r"\brain(y|ing|s)?\b", re.IGNORECASE)  # neither train nor te
 
 
 def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
-    """Read the weather of samples, "rain" or "dry", from the descriptions of their drives.
-
-    Raises InputError: a table is missing or damaged.
-    """
+    """Read the weather of samples, "rain" or "dry", from their drives' descriptions. Raises: as `read_annotations`."""
     rows = indexed(folder / "sample.json", lambda row: str(row.get("token")) in samples)
-    drives = indexed(folder / "scene.json")
-    descriptions = {
-        name: str(drives.get(str(row.get("scene_token")), {}).get("description", "")) for name, row in rows.items()
-    }
-    return {name: "rain" if _RAIN.search(descriptions.get(name, "")) else "dry" for name in samples}
+    drives, found = indexed(folder / "scene.json"), {}
+    for name in samples:
+        drive = drives.get(str(rows.get(name, {}).get("scene_token")), {})
+        found[name] = "rain" if _RAIN.search(str(drive.get("description", ""))) else "dry"
+    return found

@@ -7,15 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.sensor import SensorModel
 from shift3d.scenes.street.build.fleet import fleet_of
-from shift3d.scenes.street.build.item import LABELLED
 from shift3d.scenes.street.build.layout import Layout, sample_layout
-from shift3d.scenes.street.build.pool import POOL_SIZES
 from shift3d.scenes.street.build.world import PlacedVehicle, World
 from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.scenes.street.raycast import Sweep
@@ -28,12 +25,8 @@ from shift3d.seeding import generator
 def street_scene(split: str, seed: int, index: int, sensor_name: str, options: StreetOptions = PLAIN) -> Scene:
     """Generate one procedural scene, with the same bytes for the same arguments.
 
-    Args:
-        split: "train", "val" or "test": disjoint layouts and disjoint vehicles.
-        seed, index: identify the scene.
-        sensor_name: "hdl64" or "waymo_top": sensor of the street's layout; it also scans the street if options.beams is
-            None. Other beams start at the same point and meet the same objects in the same places.
-        options: further properties of the scene on the same street, and its traffic.
+    sensor_name: "hdl64" or "waymo_top": sensor of the street's layout; it also scans the street if options.beams is
+    None. Other beams start at the same point and meet the same objects in the same places.
 
     Returns: A scene with reflectance, firing times and, with a single sensor, range-image indices. Rows: the main
     sensor's first returns, row by row of its range image, independent of other returns and sensors; then second returns
@@ -41,9 +34,9 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
     in their box. If the sensor moves, boxes and counts are those of time 0: points in the moving sensor's frame lie
     beside them.
 
-    Raises InputError: an unknown split or sensor, or held-out traffic on training streets. Source: our choice.
+    Raises InputError: held-out traffic on training streets. Source: our choice.
     """
-    sensor = _sensor(split, sensor_name)
+    sensor = SENSORS[sensor_name]
     parts = ("street-scene", split, seed, index, sensor_name)
     layout, world = _street(parts, sensor, options)
     seen_by = scanning_sensor(sensor, options)
@@ -71,7 +64,7 @@ def street_vehicles(
 ) -> tuple[PlacedVehicle, ...]:
     """Return all vehicles of `street_scene` with their meshes, hit or not: the ground truth behind labels."""
     parts = ("street-scene", split, seed, index, sensor_name)
-    return _street(parts, _sensor(split, sensor_name), options)[1].vehicles
+    return _street(parts, SENSORS[sensor_name], options)[1].vehicles
 
 
 def _street(parts: tuple[str | int, ...], sensor: Sensor, options: StreetOptions) -> tuple[Layout, World]:
@@ -85,21 +78,11 @@ def scanning_sensor(sensor: Sensor, options: StreetOptions) -> Sensor:
     return sensor if options.beams is None else replace(BEAMS[options.beams], mount_height_m=sensor.mount_height_m)
 
 
-def _sensor(split: str, sensor_name: str) -> Sensor:
-    if split not in POOL_SIZES:
-        raise InputError(f"unknown split {split!r}", "street", f"Choose from {', '.join(POOL_SIZES)}.")
-    if sensor_name not in SENSORS:
-        raise InputError(f"unknown sensor {sensor_name!r}", "street", f"Choose from {', '.join(SENSORS)}.")
-    return SENSORS[sensor_name]
-
-
 def _sense(
     world: World, layout: Layout, sensor: Sensor, options: StreetOptions, parts: tuple[str | int, ...]
 ) -> tuple[Echoes, list[tuple[Sweep, NDArray[np.bool_]]], NDArray[np.uint8]]:
-    """Return all returns, each sensor's sweep with the mask of its kept beams, and the mask (N,) of second returns.
-
-    Options draw from their own generators: the main sensor's first returns do not depend on options.
-    """
+    """Return all returns, each sensor's sweep with the mask of its kept beams, and the mask (N,) of second returns."""
+    # Options draw from their own generators: the main sensor's first returns do not depend on options.
     compensated = options.motion_compensated
     if options.beams:
         parts = (*parts, "beams", options.beams)
@@ -156,26 +139,20 @@ def _sample_paint(layout: Layout, rng: np.random.Generator) -> dict[int, Paint]:
     paint = {}
     for number, item in enumerate(layout.items):
         if item.kind == "vehicle":
-            opaque = rng.random() < 0.5
-            through = 0.0 if opaque else float(rng.uniform(0.2, 0.9))
-            paint[number] = Paint(albedo=float(rng.uniform(0.05, 0.7)), glass_loss=through)
+            glass_loss = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.2, 0.9))
+            paint[number] = Paint(float(rng.uniform(0.05, 0.7)), glass_loss)
     return paint
 
 
 def _labels(layout: Layout, world: World, points: NDArray[np.float32]) -> Labels:
-    boxes = world.boxes
-    numbers = sorted(boxes)
-    stacked = np.stack([boxes[number] for number in numbers]) if numbers else np.zeros((0, 7))
+    numbers = sorted(world.boxes)
+    stacked = np.array([world.boxes[number] for number in numbers]).reshape(-1, 7)
     counts = count_in_boxes(points, stacked)
     seen = np.flatnonzero(counts > 0)
     names = tuple(layout.items[numbers[i]].kind for i in seen)
     kinds = {placed.number: placed.vehicle.kind for placed in world.vehicles if placed.vehicle.kind}
-    return Labels(
-        stacked[seen],
-        tuple(LABELLED[name] for name in names),
-        counts[seen],
-        kinds=tuple(kinds.get(numbers[i], "") for i in seen) if kinds else (),
-    )
+    known = tuple(kinds.get(numbers[i], "") for i in seen) if kinds else ()
+    return Labels(stacked[seen], names, counts[seen], kinds=known)
 
 
 def street_facts(scene_id: str, sensor_name: str, options: StreetOptions) -> SceneFacts:

@@ -23,18 +23,17 @@ class StreetOptions:
 
     Attributes:
         weather: "dry", "rain", "fog" or "snow". Only the scene's conditions state it; effects apply it to the points.
-        rain_mm_h, visibility_m, snow_mm_h: strength of the weather; None: filled in from :data:`WEATHER_STRENGTHS`.
+        rain_mm_h, visibility_m, snow_mm_h: its strength; None: filled in from :data:`WEATHER_STRENGTHS`.
         sensor_model: the scene states its sensor's noise, divergence and power law.
         range_image: the scene contains its no-return beams.
         returns: 1, or 2 returns of a beam that a surface lets pass in part.
-        sensors: 1, or up to 5: short-range ones at the corners, front left, front right, rear left, rear right. Points
-            then have no pixels.
+        sensors: 1, or up to 5: short-range ones at the corners. Points then have no pixels.
         ego_speed_m_s: along +x during the turn.
         motion_compensated: points at time 0, origins follow the sensor; otherwise in the sensor frame at firing time.
         traffic: "family": vehicles of the embedded family; "wide": of the wide family's seen kinds, no two alike;
             "held_out": every second vehicle of a kind that training never sees, see `vehicles.family.split`.
-        beams: one of :data:`BEAM_NAMES`: that sensor scans the street from the position of the street's own sensor,
-            which determines the layout; None: its own sensor does.
+        beams: one of :data:`BEAM_NAMES` scans the street from the position of the street's own sensor, which determines
+            the layout; None: its own sensor does.
 
     Raises InputError: values out of range or settings that contradict each other, naming the field and the remedy.
     """
@@ -53,13 +52,12 @@ class StreetOptions:
     beams: str | None = None
 
     def __post_init__(self) -> None:
-        if self.weather not in ("dry", *WEATHER_STRENGTHS):
-            remedy = f"Choose from dry, {', '.join(WEATHER_STRENGTHS)}"
-            raise InputError(f"unknown weather {self.weather!r}", _WHERE, remedy)
-        if self.traffic not in TRAFFIC:
-            raise InputError(f"unknown traffic {self.traffic!r}", _WHERE, f"Choose from {', '.join(TRAFFIC)}")
-        if self.beams is not None and self.beams not in BEAM_NAMES:
-            raise InputError(f"unknown beams {self.beams!r}", _WHERE, f"Choose from {', '.join(BEAM_NAMES)}")
+        choices = {"weather": ("dry", *WEATHER_STRENGTHS), "traffic": TRAFFIC}
+        if self.beams is not None:
+            choices["beams"] = BEAM_NAMES
+        for name, known in choices.items():
+            if (value := getattr(self, name)) not in known:
+                raise InputError(f"unknown {name} {value!r}", _WHERE, f"Choose from {', '.join(known)}")
         for weather, (name, usual) in WEATHER_STRENGTHS.items():
             self._fill_in(weather, name, usual)
         if not 0.0 <= self.ego_speed_m_s <= LIMITS["ego_speed_m_s"]:

@@ -32,13 +32,8 @@ class Intersector:
         TriangleMesh(self._scene, self.vertices, self.faces)
 
     def first_hit(self, origins: Float32, directions: Float32) -> tuple[Float32, NDArray[np.int32], Float32]:
-        """Compute first hits of rays.
-
-        Args:
-            origins, directions: (N, 3) float32, directions of unit length.
-
-        Returns: range_m (N,), infinite without a hit; face (N,), -1 without a hit; cosine (N,) of incidence.
-        """
+        """Compute first hits of rays (N, 3), directions of unit length: range_m (N,), infinite without a hit; face
+        (N,), -1 without a hit; cosine (N,) of incidence."""
         out = self._scene.run(origins, directions, output=1)
         face: NDArray[np.int32] = out["primID"]
         normal = out["Ng"]
@@ -62,14 +57,8 @@ def beam_directions(sensor_name: str) -> Float32:
 
 @dataclass
 class Hits:
-    """First hits of beams: arrays of one shape.
-
-    Attributes:
-        range_m: infinite without a hit.
-        item: number of the object, -1 for the ground, -2 without a hit.
-        material: see :class:`Material`.
-        cosine: of the incidence angle.
-    """
+    """First hits of beams: arrays of one shape. range_m: infinite without a hit. item: number of the object, -1 for the
+    ground, -2 without a hit. cosine: of the incidence angle."""
 
     sensor: Sensor
     range_m: Float32
@@ -79,14 +68,10 @@ class Hits:
 
     @staticmethod
     def none(sensor: Sensor, count: int) -> Hits:
-        """Return empty hits of `count` beams."""
         return Hits(sensor, *_nothing((count,)))
 
     def enter(self, beams: NDArray[np.intp], found: FirstHits, item: int | NDArray[np.int32]) -> None:
-        """Enter the hits of beams, indices (K,) of the flattened arrays, that are nearer than the present hits.
-
-        item: one for all beams, or (K,).
-        """
+        """Enter the hits of beams, indices (K,) of the flattened arrays, that are nearer than the present hits."""
         range_m, material, cosine = found
         nearer = range_m < self.range_m.reshape(-1)[beams]
         target = beams[nearer]
@@ -106,10 +91,8 @@ def _nothing(shape: tuple[int, ...]) -> tuple[Float32, NDArray[np.int32], NDArra
 class Sweep(Hits):
     """First hits of one turn, one cell a beam: (rows, columns) arrays that casting fills in.
 
-    Attributes:
-        mount: position and motion of the sensor; the world is static.
-        directions: (rows, columns, 3) float32 unit vectors, scene frame.
-        origins_m: (1, 3) float64 if all beams share one origin, else (columns, 3), the origin of each column.
+    directions: (rows, columns, 3) float32 unit vectors, scene frame. origins_m: (1, 3) float64 if all beams share one
+    origin, else (columns, 3), the origin of each column.
     """
 
     mount: Mount
@@ -118,7 +101,6 @@ class Sweep(Hits):
 
     @classmethod
     def empty(cls, sensor: Sensor, mount: Mount = AT_ORIGIN) -> Sweep:
-        """Return a sweep without hits."""
         shape = (len(sensor.elevations_rad), sensor.columns)
         directions = beam_directions(sensor.name)
         if mount.heading_rad:
@@ -186,12 +168,10 @@ def hit_instance(
     starts: Float,
     directions: NDArray[np.floating],
 ) -> FirstHits:
-    """Compute first hits of rays on a mesh given in its object frame.
+    """Compute first hits of rays on a mesh given in its object frame. See `Hit`.
 
-    Args:
-        scene_R_object: (3, 3); position: (3,) of the object's origin in the scene.
-        glass_band_m: hits between these heights of the object frame count as glass.
-        starts: (3,) or (N, 3), scene frame; directions: (N, 3).
+    position: (3,) of the object's origin in the scene. glass_band_m: hits between these heights of the object frame
+    count as glass.
     """
     directions = directions.astype(np.float32, copy=False)
     local = np.ascontiguousarray(directions @ scene_R_object.astype(np.float32))
@@ -212,29 +192,10 @@ def hit_leaves(
 ) -> FirstHits:
     """Compute first hits of rays on an ellipsoid of leaves. Depths are exponentially distributed; deep rays pass.
 
-    Args:
-        centre, radii: (3,). free_path_m: mean depth. starts: (3,) or (N, 3), scene frame; directions: (N, 3).
-
-    Source: our choice; a beam's survival in a medium of scattered leaves falls off exponentially.
+    See `Hit`. centre, radii: (3,). free_path_m: mean depth. Source: our choice; a beam's survival in a medium of
+    scattered leaves falls off exponentially.
     """
-    met, enter, leave = _through_ellipsoid(starts, directions.astype(np.float64, copy=False), centre, radii)
-    depth = np.maximum(enter, 0.0) + rng.exponential(free_path_m, len(directions))
-    range_m = np.where(met & (depth < leave), depth, np.inf).astype(np.float32)
-    material = np.full(len(range_m), Material.FOLIAGE, dtype=np.uint8)
-    return range_m, material, np.full(len(range_m), _LEAVES_COSINE, np.float32)
-
-
-def _through_ellipsoid(
-    starts: Float, directions: Float, centre: Float, radii: Float
-) -> tuple[NDArray[np.bool_], Float, Float]:
-    """Compute the ranges at which rays enter and leave an ellipsoid.
-
-    Args:
-        starts: (3,) or (N, 3), scene frame; directions: (N, 3) float64 unit vectors.
-
-    Returns: met (N,) bool, the ray's line meets the ellipsoid; enter and leave (N,), negative behind the start.
-    """
-    scaled, offset = directions / radii, (starts - centre) / radii
+    scaled, offset = directions.astype(np.float64, copy=False) / radii, (starts - centre) / radii
     a = (scaled * scaled).sum(axis=1)
     if offset.ndim == 1:
         b, c = scaled @ offset, offset @ offset - 1.0
@@ -242,7 +203,11 @@ def _through_ellipsoid(
         b, c = (scaled * offset).sum(axis=1), (offset * offset).sum(axis=1) - 1.0
     discriminant = b * b - a * c
     root = np.sqrt(np.maximum(discriminant, 0.0))
-    return discriminant > 0.0, (-b - root) / a, (-b + root) / a
+    depth = np.maximum((-b - root) / a, 0.0) + rng.exponential(free_path_m, len(directions))
+    inside = (discriminant > 0.0) & (depth < (-b + root) / a)
+    range_m = np.where(inside, depth, np.inf).astype(np.float32)
+    material = np.full(len(range_m), Material.FOLIAGE, dtype=np.uint8)
+    return range_m, material, np.full(len(range_m), _LEAVES_COSINE, np.float32)
 
 
 def _each(start: Float32, directions: Float32) -> Float32:

@@ -35,11 +35,8 @@ def second_returns(
             counts: ground at a grazing angle stretches an echo but does not split it.)
     The second echo enters the power law with that share, and lies at least SEPARATION_M behind the first.
 
-    Args:
-        sweep: first hits; range_m, kept: (rows, columns) from `finish`.
-
-    Returns: The beams' cells (row and column (K,), row by row), ranges (K,) and reflectances (K,), float32. Source: our
-    choice, from the physics.
+    range_m, kept: (rows, columns) from `finish`. Returns the beams' cells, row by row, ranges (K,) and reflectances
+    (K,), float32. Source: our choice, from the physics.
     """
     through, through_hits, through_share = _through(world, sweep, kept, paint, rng)
     edge, edge_hits, edge_share = _behind_silhouettes(world, sweep, kept, rng)
@@ -102,10 +99,8 @@ def _parts(hits: Hits) -> tuple[NDArray[Any], ...]:
 
 
 def _at_range_steps(sweep: Sweep) -> NDArray[np.bool_]:
-    """Mark hits with another object well behind in a neighbouring cell; no silhouette can cut the other hits.
-
-    A beam's cone is narrower than the steps between beams. (Some gaps narrower than the steps are missed.)
-    """
+    """Mark hits with another object well behind in a neighbouring cell; no silhouette can cut the other hits."""
+    # A beam's cone is narrower than the steps between beams. (Some gaps narrower than the steps are missed.)
     behind: NDArray[np.bool_] = np.zeros(sweep.range_m.shape, dtype=np.bool_)
     nearer = sweep.range_m + SEPARATION_M
     for axis in (0, 1):

@@ -15,19 +15,11 @@ from numpy.typing import NDArray
 class Sensor:
     """Spinning LiDAR with a common origin of all beams.
 
-    Attributes:
-        name: one of :data:`BEAMS`, or of a head beside the main one.
-        elevations_rad: beam elevations from the top beam down.
-        columns: firings a turn. Azimuth decreases (clockwise from above) from half the view; on a full turn column 0
-            looks backwards.
-        mount_height_m: above the ground.
-        min_range_m, max_range_m: of a return.
-        range_noise_m: standard deviation along the beam.
-        range_step_m: resolution of the reported range.
-        turn_s: duration of a turn.
-        drop_rate: share of returns lost at random, at any range.
-        divergence_rad: full angle of a beam's cone.
-        view_rad: sector of the turn, about the sensor's own forward, in which it fires.
+    elevations_rad: from the top beam down. columns: firings a turn. Azimuth decreases (clockwise from above) from half
+    the view; on a full turn column 0 looks backwards. min_range_m, max_range_m: of a return. range_noise_m: standard
+    deviation along the beam. range_step_m: resolution of the reported range. drop_rate: share of returns lost at
+    random, at any range. divergence_rad: full angle of a beam's cone. view_rad: sector of the turn, about the sensor's
+    own forward, in which it fires.
     """
 
     name: str
@@ -55,11 +47,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Mount:
-    """Position of a sensor at the start of its turn, and its motion.
-
-    Attributes:
-        origin_m: scene frame. heading_rad: of its own forward, from the scene's +x. speed_m_s: along the scene's +x.
-    """
+    """Position of a sensor at the start of its turn, scene frame, heading of its own forward, and speed along +x."""
 
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     heading_rad: float = 0.0
@@ -69,22 +57,16 @@ class Mount:
 AT_ORIGIN = Mount()
 
 
-def _waymo_top_deg() -> NDArray[np.float64]:
-    """Compute 64 elevations from +2.4 to -17.6 degrees, densest at the horizon, widening downwards.
-
-    Source: range from the Waymo Open Dataset paper; the widening is in its calibrations, its law our choice.
-    """
+def _by_rule_deg() -> dict[str, NDArray[np.float64]]:
+    """Compute elevations by a rule."""
+    # HDL-64E: 32 beams a third of a degree apart above 32 beams half a degree apart.
+    upper = 2.0 - np.arange(32) / 3.0
+    # Densest at the horizon, widening downwards. Range from the Waymo Open Dataset paper; the law is our choice.
     step = 0.15 + 0.33 * np.linspace(0.0, 1.0, 63)
     step *= 20.0 / step.sum()
-    return 2.4 - np.concatenate(([0.0], np.cumsum(step)))
-
-
-def _by_rule_deg() -> dict[str, NDArray[np.float64]]:
-    """Compute elevations by a rule. HDL-64E: 32 beams a third of a degree apart above 32 beams half a degree apart."""
-    upper = 2.0 - np.arange(32) / 3.0
     return {
         "hdl64": np.concatenate((upper, upper[-1] - 0.5 - np.arange(32) * 0.5)),
-        "waymo_top": _waymo_top_deg(),
+        "waymo_top": 2.4 - np.concatenate(([0.0], np.cumsum(step))),
         "hdl32": 32.0 / 3.0 - np.arange(32) * 4.0 / 3.0,
         "short32": np.linspace(10.0, -30.0, 32),
     }
@@ -126,10 +108,8 @@ def other_heads(main: Sensor, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
 
 
 def side_sensors(main: Sensor, count: int, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
-    """Return short-range sensors at the corners of the car below the main sensor, facing outwards along the diagonals.
-
-    They share the main sensor's noise and divergence: one `SensorModel` describes the whole scene. Source: our choice.
-    """
+    """Return short-range sensors at the corners of the car, facing outwards along the diagonals (our choice). They
+    share the main sensor's noise and divergence: one `SensorModel` describes the whole scene."""
     sensor = replace(SHORT32, range_noise_m=main.range_noise_m, divergence_rad=main.divergence_rad)
     height_m = SHORT32.mount_height_m - main.mount_height_m
     return [

@@ -34,14 +34,10 @@ _PAIR = "Pair components of one segment: copy both again"
 class LaserFrame:
     """Data of one laser in one frame.
 
-    Attributes:
-        laser: number of the laser, 1 to 5.
-        images: first and second returns, (H, W, 4) float32: range, metres (not positive: none), intensity, elongation,
-            and 1 in a no-label zone.
-        origins, directions: (H, W, 3) float64 of each pixel's beam, vehicle frame.
+    images: first and second returns, (H, W, 4): range, metres (not positive: none), intensity, elongation, and 1 in a
+    no-label zone. origins, directions: (H, W, 3) of each pixel's beam, vehicle frame.
     """
 
-    laser: int
     images: tuple[NDArray[np.float32], NDArray[np.float32]]
     origins: Float
     directions: Float
@@ -55,8 +51,8 @@ def component_file(root: Location, component: str, segment: str) -> Component:
 def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[str]) -> list[LaserFrame]:
     """Read a frame of each of the lasers, in the order of their numbers.
 
-    Raises InputError: a component is missing or unreadable; a laser has no row, or two, in a component; the images of a
-    laser differ in size, or have a range that is not finite.
+    Raises InputError: a component is missing or unreadable, or has no row or two of a laser; images of other sizes, or
+    with a range that is not finite.
     """
     lidar = component_file(root, "lidar", segment)
     columns = [LASER, *(f"{image}.{part}" for image in _IMAGES for part in ("values", "shape"))]
@@ -73,15 +69,12 @@ def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[st
         shape = (first.shape[0], first.shape[1])
         pixels = _pixels(root, segment, timestamp, shape) if number == _TOP else None
         origins, directions = vehicle_beams(calibrations[number], shape, pixels, where)
-        frames.append(LaserFrame(number, (first, second), origins, directions))
+        frames.append(LaserFrame((first, second), origins, directions))
     return frames
 
 
 def read_calibrations(root: Location, segment: str, wanted: Sequence[int]) -> dict[int, LaserCalibration]:
-    """Read the calibrations of the lasers by number.
-
-    Raises InputError: the component is missing or unreadable, has a laser twice, or lacks a wanted laser.
-    """
+    """Read the calibrations of the lasers by number. Raises InputError: as `read_frame`."""
     component = component_file(root, "lidar_calibration", segment)
     columns = [LASER, _EXTRINSIC, *(f"{_INCLINATION}.{part}" for part in ("min", "max", "values"))]
     found = {}
@@ -169,8 +162,7 @@ def read_labels(
 ) -> Labels:
     """Read the boxes of a frame (possibly none), in the order of the file, and count the given points.
 
-    Args:
-        points: (N, 3) scene frame. offset: (3,) scene origin in the vehicle frame, metres.
+    points: (N, 3) scene frame. offset: (3,) scene origin in the vehicle frame, metres.
 
     Raises InputError: the component is missing, unreadable or without rows; an object twice; an unknown type.
     """
@@ -194,9 +186,6 @@ def read_labels(
 
 
 def read_weather(root: Location, segment: str, timestamp: int) -> str:
-    """Read "rain" or "dry" from the segment's statistics; dry if they do not list this frame.
-
-    Raises InputError: the component is missing, unreadable or without rows.
-    """
+    """Read "rain" or "dry" from the segment's statistics; dry if they do not list this frame. Raises: as `rows`."""
     rows = component_file(root, "stats", segment).rows([_WEATHER], timestamp)
     return "rain" if "rain" in {str(word).lower() for word in rows[_WEATHER].to_pylist()} else "dry"

@@ -1,7 +1,6 @@
-"""Conversion of range images to beams.
+"""Conversion of range images to beams, by the geometry of the data set's published tools for version 2.
 
-Frames: ``laser`` (the sensor's own), ``vehicle`` (x forward, y left, z up, at the frame's time), ``global``. Source:
-the data set's published tools for version 2 describe the geometry; see `vehicle_beams`.
+Frames: ``laser`` (the sensor's own), ``vehicle`` (x forward, y left, z up, at the frame's time), ``global``.
 """
 
 from __future__ import annotations
@@ -12,18 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.rigid import inverse, rotation_of_angles
+from shift3d.geometry.rigid import inverse, rigid, rotation_of_angles
 
 Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LaserCalibration:
-    """Calibration of one laser of the vehicle.
-
-    vehicle_SE3_laser: (4, 4). inclination_rad: lowest and highest beam. beams_rad: inclination of each beam from the
-    lowest up; None: evenly spaced between the two.
-    """
+    """Calibration of one laser: inclination of the lowest and highest beam, and of each from the lowest up; None:
+    evenly spaced."""
 
     vehicle_SE3_laser: Float  # noqa: N815
     inclination_rad: tuple[float, float]
@@ -49,11 +45,9 @@ def inclinations(laser: LaserCalibration, height: int, where: str) -> Float:
 
 
 def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
-    """Fill all-zero poses (H, W, 6) of pixels from the nearest row above that has a pose.
+    """Fill all-zero poses (H, W, 6) of pixels from the nearest row above that has a pose, else the nearest column.
 
-    The bottom rows of published images may be zero. The pixels of a column fire together, so that poses differ little
-    along it. A column without any pose takes those of the nearest column.
-
+    The bottom rows of published images may be zero. The pixels of a column fire together: their poses differ little.
     Raises InputError: no pixel has a pose, or one has NaN. Source: our choice.
     """
     array: Float = np.asarray(poses, np.float64)
@@ -76,12 +70,9 @@ def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
 def vehicle_SE3_pixels(poses: Float, global_SE3_vehicle: Float) -> Float:
     """Compute transforms (H, W, 4, 4) from the vehicle at each pixel's firing time to the vehicle at the frame's time.
 
-    Args:
-        poses: (H, W, 6) roll, pitch, yaw, x, y, z of the vehicle in the global frame.
+    poses: (H, W, 6) roll, pitch, yaw, x, y, z of the vehicle in the global frame.
     """
-    pixels = np.zeros((*poses.shape[:2], 4, 4))
-    pixels[..., :3, :3] = rotation_of_angles(poses[..., 0], poses[..., 1], poses[..., 2])
-    pixels[..., :3, 3], pixels[..., 3, 3] = poses[..., 3:], 1.0
+    pixels = rigid(rotation_of_angles(poses[..., 0], poses[..., 1], poses[..., 2]), poses[..., 3:])
     return inverse(global_SE3_vehicle) @ pixels
 
 
@@ -93,11 +84,8 @@ def vehicle_beams(
     A return at range r lies at origin + r direction. Column j of W has the azimuth (2 (W - j - 0.5) / W - 1) pi -
     atan2(E10, E00), E the laser's extrinsic; azimuths therefore decrease along a row.
 
-    Args:
-        shape: (H, W) of the range image. pixels: (H, W, 4, 4) of `vehicle_SE3_pixels`; None: vehicle at rest.
-
-    Returns:
-        origins (H, W, 3), metres, and unit directions (H, W, 3), float64; origins are a broadcast view without pixels.
+    shape: (H, W) of the range image. pixels: of `vehicle_SE3_pixels`; None: vehicle at rest. Returns origins (H, W, 3),
+    metres, a broadcast view without pixels, and unit directions (H, W, 3), float64.
     """
     height, width = shape
     extrinsic = laser.vehicle_SE3_laser

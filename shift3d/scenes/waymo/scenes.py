@@ -29,8 +29,7 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike
 
 COMPONENTS = ("lidar", "lidar_calibration", "lidar_pose", "vehicle_pose")
-"""Required components of a frame. The folders lidar_box (labels) and stats (weather) are optional, but must be
-complete."""
+"""Required components of a frame. The others are optional, but must be complete."""
 _OPTIONAL = ("lidar_box", "stats")
 _SEGMENTS_AT_ONCE = 16
 
@@ -39,10 +38,8 @@ class WaymoScenes(RecordedScenes):
     """Frames under a folder or bucket with ``{component}/{segment}.parquet``.
 
     Args:
-        root: holds lidar/, lidar_calibration/, lidar_pose/, vehicle_pose/, and optionally lidar_box/ (labels) and
-            stats/ (weather).
+        root: holds `COMPONENTS`, and optionally lidar_box/ (labels) and stats/ (weather).
         names: ``SEGMENT-TIMESTAMP`` of the frames to use; None: every frame, in order.
-        count: maximum number of frames; the search stops there.
         lasers: names of the sensors to use, from `LASERS`.
         every: use every n-th frame of each segment; has no effect on named frames.
         list_unreadable: list a segment without a readable list of frames by its own name; loading raises InputError.
@@ -77,8 +74,9 @@ class WaymoScenes(RecordedScenes):
             what = f"a laser twice in scenes.lasers=[{','.join(self.lasers)}]"
             raise InputError(what, "Waymo", "Name each laser once")
         if "lidar" not in self._components:
-            what = "no component lidar/"
-            raise InputError(what, str(self.root), "Give the folder that holds lidar/, lidar_pose/, ...")
+            remedy = "Give the folder that holds lidar/, lidar_pose/, ..."
+            raise InputError("no component lidar/", str(self.root), remedy)
+        self._found_in = self.root / "lidar"
 
     def _read(self, name: str) -> Scene:
         segment, timestamp = self._split(name)
@@ -113,9 +111,6 @@ class WaymoScenes(RecordedScenes):
     def _settings_and_files(self, name: str) -> tuple[Sequence[str], list[Location]]:
         segment, parts = name.rpartition("-")[0] or name, (*COMPONENTS, *_OPTIONAL)
         return self.lasers, [component_file(self.root, part, segment).file for part in parts]
-
-    def _found_in(self) -> str:
-        return str(self.root / "lidar")
 
     def _found(self) -> Iterator[str]:
         """List the frames, reading `_SEGMENTS_AT_ONCE` segments at a time."""

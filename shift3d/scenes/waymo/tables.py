@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,19 +25,13 @@ _AGAIN = "Copy it again"
 
 @dataclass(frozen=True)
 class Component:
-    """One component of one segment.
-
-    file: ``{root}/{component}/{segment}.parquet`` in a folder or a bucket. segment: required segment of all rows.
-    """
+    """The file of one component of one segment, which all its rows must name."""
 
     file: Location
     segment: str
 
     def timestamps(self) -> list[int]:
-        """List the frames that have rows, microseconds, ascending.
-
-        Raises InputError: the file cannot be read, or has no rows.
-        """
+        """List the frames that have rows, microseconds, ascending. Raises InputError: as `rows`."""
         with self._opened((SEGMENT, FRAME)) as parquet:
             keys = self._checked(parquet.read(columns=[SEGMENT, FRAME]))
         if not keys.num_rows:
@@ -55,13 +50,9 @@ class Component:
                 raise InputError("the table has no rows", str(self.file), _AGAIN)
             if timestamp is None:
                 return self._checked(parquet.read(columns=wanted))
-            batches = [
-                batch
-                for group in range(parquet.num_row_groups)
-                for batch in _rows_at(parquet, group, timestamp, wanted)
-            ]
+            groups = [_rows_at(parquet, group, timestamp, wanted) for group in range(parquet.num_row_groups)]
             schema = pa.schema([parquet.schema_arrow.field(name) for name in wanted])
-            return self._checked(pa.Table.from_batches(batches, schema=schema))
+            return self._checked(pa.Table.from_batches(itertools.chain(*groups), schema=schema))
 
     @contextlib.contextmanager
     def _opened(self, columns: Sequence[str]) -> Iterator[pq.ParquetFile]:
@@ -106,10 +97,7 @@ def _integers(column: pa.ChunkedArray, file: Location) -> NDArray[np.int64]:
 
 
 def numbers(value: Any, size: int | None, where: str) -> NDArray[np.float64]:
-    """Convert a list of numbers of any width to float64. size: required length, or None.
-
-    Raises InputError: no list of numbers, or another length.
-    """
+    """Convert a list of numbers of any width to float64. Raises InputError: no such list, or not of length `size`."""
     try:
         found: NDArray[np.float64] = np.asarray(value.values.to_numpy(zero_copy_only=False), np.float64)
     except (AttributeError, TypeError, ValueError) as error:
@@ -120,10 +108,7 @@ def numbers(value: Any, size: int | None, where: str) -> NDArray[np.float64]:
 
 
 def by_key(table: pa.Table, key: str, where: str) -> Mapping[Any, dict[str, Any]]:
-    """Index rows by the values of a key; each row is a dictionary of columns to Arrow scalars.
-
-    Raises InputError: two rows with the same key value.
-    """
+    """Index rows, dictionaries of Arrow scalars by column, by the values of a key. Raises InputError: a value twice."""
     found: dict[Any, dict[str, Any]] = {}
     for row in range(table.num_rows):
         value = table[key][row].as_py()

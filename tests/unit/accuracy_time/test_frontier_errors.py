@@ -8,7 +8,7 @@ import pytest
 import torch
 from analytic_fields import Field, Frame, in_frame, sphere
 
-from shift3d.accuracy_time.errors import TrueHits, chord_lengths, compare, true_hits
+from shift3d.accuracy_time.errors import TrueHits, chord_lengths, compare
 from shift3d.render.culling import Rays
 from shift3d.render.field.object_field import ObjectField
 from shift3d.render.rendering import Rendering
@@ -53,14 +53,8 @@ def test_every_kind_of_error_is_counted_once() -> None:
 def test_nothing_found_misses_all_and_nothing_there_can_only_be_false() -> None:
     blind = compare(TRUTH, rendering({}))
     assert (blind.missed, blind.missed_thick, blind.depth_m) == (5, 4, ())
-    nothing = true_hits(rendering({}), torch.empty(0, dtype=torch.float64))
-    assert compare(nothing, rendering({5: 9.0})).false == 1
-
-
-def test_true_hits_are_those_of_the_rendering_in_the_order_of_its_beams() -> None:
-    truth = true_hits(rendering({6: 3.0, 2: 5.0}), torch.tensor([0.01, 0.03], dtype=torch.float64))
-    assert truth.index.tolist() == [2, 6] and truth.range_m.tolist() == [5.0, 3.0]
-    assert truth.thick.tolist() == [False, True]
+    none = torch.empty(0, dtype=torch.float64)
+    assert compare(TrueHits(none.long(), none, none), rendering({5: 9.0})).false == 1
 
 
 @pytest.mark.parametrize("thickness_m", [0.005, 0.011, 0.02, 0.0341])

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shift3d.accuracy_time.timing import interleaved_samples, machine, milliseconds, num_further_timings, quartiles
+from shift3d.accuracy_time.timing import interleaved_samples, machine, milliseconds, num_further_timings
 
 
 def test_settings_take_turns_and_every_second_round_runs_backwards() -> None:
@@ -68,11 +68,6 @@ def test_no_garbage_is_collected_inside_and_the_collector_comes_back() -> None:
 
 def _fails() -> None:
     raise RuntimeError
-
-
-def test_quartiles_of_one_sample_are_that_sample() -> None:
-    assert quartiles([3.0]) == (3.0, 3.0, 3.0)
-    assert quartiles([5.0, 1.0, 3.0, 2.0, 4.0]) == (2.0, 3.0, 4.0)
 
 
 def test_the_machine_is_described_without_a_date_or_a_name() -> None:

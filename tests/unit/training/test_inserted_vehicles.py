@@ -24,7 +24,7 @@ class _Boxes:
     def vehicle(self, variant: int) -> PoolVehicle:
         mesh = trimesh.creation.box(SIZE_M)
         radius = float(np.linalg.norm(SIZE_M)) / 2 + 0.01
-        return PoolVehicle("box", np.array(SIZE_M), radius, Intersector(mesh.vertices, mesh.faces), (0.0, 0.0))
+        return PoolVehicle(np.array(SIZE_M), radius, Intersector(mesh.vertices, mesh.faces), (0.0, 0.0))
 
 
 def _ground_sweep() -> TrainingScene:

@@ -28,21 +28,15 @@ _FAMILY_SLOT_M = (5.7, 2.1, 1.8)
 
 @dataclass(frozen=True)
 class Fleet:
-    """Vehicles of a street, by the variant number of an item.
-
-    slot_m: reserved floor space and height of a vehicle, metres; does not build the mesh. vehicle: the vehicle.
-    """
+    """Vehicles of a street, and their reserved slots (which need no mesh), by the variant number of an item."""
 
     slot_m: Callable[[int], Size]
     vehicle: Callable[[int], PoolVehicle]
 
 
 def fleet_of(traffic: str, split: str) -> Fleet:
-    """Return the fleet for a street's option `traffic`. Raises InputError for held-out traffic on split train.
-
-    family: pool of vehicles of the embedded family, see `pool`. wide, held_out: vehicles of the wide family, a
-    different one for each variant; the splits share none. held_out: every second vehicle has an unseen kind.
-    """
+    """Return the fleet for `StreetOptions.traffic`; the splits share no vehicles. Raises InputError for held-out
+    traffic on split train."""
     check_traffic(traffic, split)
     if traffic == "family":
         return Fleet(lambda variant: _FAMILY_SLOT_M, functools.partial(pool_vehicle, split))
@@ -80,4 +74,4 @@ def _wide_vehicle(split: str, held_out: bool, variant: int) -> PoolVehicle:
         low, high = glass_band_m(spec.chassis.height_m)
         glass = (low + shift, high + shift)
     radius_m = float(np.linalg.norm(vertices, axis=1).max()) + 0.01
-    return PoolVehicle(spec.body_type, size_m, radius_m, Intersector(vertices, faces), glass, spec.kind)
+    return PoolVehicle(size_m, radius_m, Intersector(vertices, faces), glass, spec.kind)

@@ -13,26 +13,22 @@ from shift3d.geometry.boxes import corners_bev
 
 OWN_CAR_M = (-0.8, 0.0, 6.0, 2.4)  # x, y of its centre, length and width: the LiDAR is ahead of its centre
 Size = tuple[float, float, float]
-LABELLED = {"vehicle": "vehicle", "pedestrian": "pedestrian", "cyclist": "cyclist"}
+LABELLED = ("vehicle", "pedestrian", "cyclist")
 
 
 @dataclass(frozen=True)
 class Item:
     """One object.
 
-    Attributes:
-        kind: "vehicle", "pedestrian", "cyclist", "building", "pole", "sign", "tree", "wall", "hedge", "fence",
-            "thicket", "bush", "dumpster", "container", "cabinet", "barrier".
-        x, y: scene frame, metres; heading_rad counter-clockwise from +x.
-        size_m: length, width, height; for a vehicle the reserved slot.
-        variant: selects the instance and its details.
+    kind: "vehicle", or one of `item_geometry.ITEM_GEOMETRY`. x, y: scene frame, metres; heading_rad counter-clockwise
+    from +x. size_m: length, width, height; for a vehicle the reserved slot. variant: selects the instance's details.
     """
 
     kind: str
     x: float
     y: float
     heading_rad: float
-    size_m: tuple[float, float, float]
+    size_m: Size
     variant: int = 0
 
     def to_scene(self, along: Any, across: Any) -> tuple[Any, Any]:
@@ -54,28 +50,30 @@ class FloorPlan:
 
     def place(self, item: Item, margin_m: float = 0.2) -> bool:
         """Add an item unless its floor rectangle, grown by the margin, overlaps another. Returns True if added."""
-        length, width, height = item.size_m
-        grown = np.array([[item.x, item.y, 0, length + 2 * margin_m, width + 2 * margin_m, height, item.heading_rad]])
-        if _meets(corners_bev(grown)[0], self._corners).any():
+        length, width, _ = item.size_m
+        grown = _floor(item.x, item.y, length + 2 * margin_m, width + 2 * margin_m, item.heading_rad)
+        if _meets(grown[0], self._corners).any():
             return False
-        plain = np.array([[item.x, item.y, 0, length, width, height, item.heading_rad]])
-        self._corners = np.concatenate((self._corners, corners_bev(plain)))
+        self.reserve(item.x, item.y, item.heading_rad, length, width)
         self.items.append(item)
         return True
 
     def reserve(self, x: float, y: float, heading_rad: float, length_m: float, width_m: float) -> None:
         """Reserve a rectangle without an item (the sensor's own car, a driveway)."""
-        rectangle = np.array([[x, y, 0, length_m, width_m, 1, heading_rad]])
-        self._corners = np.concatenate((self._corners, corners_bev(rectangle)))
+        self._corners = np.concatenate((self._corners, _floor(x, y, length_m, width_m, heading_rad)))
 
 
 def items_overlapping(
     items: tuple[Item, ...], x: float, y: float, length_m: float, width_m: float
 ) -> NDArray[np.bool_]:
     """Mark the items (items,) whose floor rectangle overlaps an axis-aligned rectangle centred at scene (x, y)."""
-    rectangle = corners_bev(np.array([[x, y, 0.0, length_m, width_m, 1.0, 0.0]]))[0]
     floors = np.array([[item.x, item.y, 0.0, *item.size_m, item.heading_rad] for item in items]).reshape(-1, 7)
-    return _meets(rectangle, corners_bev(floors))
+    return _meets(_floor(x, y, length_m, width_m, 0.0)[0], corners_bev(floors))
+
+
+def _floor(x: float, y: float, length_m: float, width_m: float, heading_rad: float) -> NDArray[np.float64]:
+    """Return the corners (1, 4, 2) of a floor rectangle."""
+    return corners_bev(np.array([[x, y, 0.0, length_m, width_m, 1.0, heading_rad]]))
 
 
 def _meets(one: NDArray[np.float64], many: NDArray[np.float64]) -> NDArray[np.bool_]:

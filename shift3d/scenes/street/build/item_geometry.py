@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +38,8 @@ def _building(item: Item, rng: Rng) -> ItemGeometry:
     return parts, []
 
 
-def _wall(item: Item, rng: Rng) -> ItemGeometry:
-    return [box((*item.size_m[:2], item.size_m[2] + 0.3), (0, 0, -0.3), Material.FACADE)], []
-
-
-def _hedge(item: Item, rng: Rng) -> ItemGeometry:
-    return [box((*item.size_m[:2], item.size_m[2] + 0.3), (0, 0, -0.3), Material.FOLIAGE, 0.85)], []
+def _sunk_box(material: Material, top: float, item: Item, rng: Rng) -> ItemGeometry:
+    return [box((*item.size_m[:2], item.size_m[2] + 0.3), (0, 0, -0.3), material, top)], []
 
 
 def _fence(item: Item, rng: Rng) -> ItemGeometry:
@@ -86,11 +83,11 @@ def _tree(item: Item, rng: Rng) -> ItemGeometry:
 
 
 def _bush(item: Item, rng: Rng) -> ItemGeometry:
-    length, width, height = item.size_m
+    half = np.array(item.size_m) / 2
     leaves = []
     for _ in range(int(rng.integers(1, 4))):
-        radii = np.array([length / 2, width / 2, height / 2]) * rng.uniform(0.6, 1.0, 3)
-        room = np.array([length, width]) / 2 - radii[:2]
+        radii = half * rng.uniform(0.6, 1.0, 3)
+        room = half[:2] - radii[:2]
         centre = np.array([*(rng.uniform(-1, 1, 2) * room), radii[2] * 0.85])
         leaves.append(Leaves(centre, radii, float(rng.uniform(0.12, 0.5))))
     return [], leaves
@@ -145,10 +142,6 @@ def _person(height: float, rng: Rng, lean_m: float = 0.0, z: float = 0.0) -> lis
     return parts
 
 
-def _pedestrian(item: Item, rng: Rng) -> ItemGeometry:
-    return _person(item.size_m[2], rng), []
-
-
 def _cyclist(item: Item, rng: Rng) -> ItemGeometry:
     parts = [prism((x, -0.025, 0.34), (x, 0.025, 0.34), (0.34, 0.34), Material.METAL, 12) for x in (-0.53, 0.53)]
     parts.append(box((1.0, 0.05, 0.1), (0, 0, 0.55), Material.METAL))
@@ -160,8 +153,8 @@ def _cyclist(item: Item, rng: Rng) -> ItemGeometry:
 
 ITEM_GEOMETRY: dict[str, Callable[[Item, Rng], ItemGeometry]] = {
     "building": _building,
-    "wall": _wall,
-    "hedge": _hedge,
+    "wall": partial(_sunk_box, Material.FACADE, 1.0),
+    "hedge": partial(_sunk_box, Material.FOLIAGE, 0.85),
     "fence": _fence,
     "pole": _pole,
     "sign": _sign,
@@ -172,6 +165,6 @@ ITEM_GEOMETRY: dict[str, Callable[[Item, Rng], ItemGeometry]] = {
     "container": _container,
     "cabinet": _container,
     "barrier": _barrier,
-    "pedestrian": _pedestrian,
+    "pedestrian": lambda item, rng: (_person(item.size_m[2], rng), []),
     "cyclist": _cyclist,
 }

@@ -25,18 +25,12 @@ GLASS_FROM, GLASS_TO = 0.62, 0.92
 
 @dataclass(frozen=True)
 class PoolVehicle:
-    """One vehicle ready for ray casting.
+    """One vehicle ready for ray casting, in the object frame, whose origin is the centre of its box.
 
-    Attributes:
-        body_type: as in shift3d.vehicles.family.
-        size_m: dx, dy, dz of the axis-aligned box; the object frame's origin is the box's centre.
-        radius_m: radius of the smallest sphere about the origin around the vehicle.
-        intersector: of the mesh, object frame.
-        glass_band_m: lower and upper height of the windows, object frame; equal without windows.
-        kind: body type and attributes of the wide family, "" for others.
+    radius_m: of the smallest sphere about the origin around the vehicle. glass_band_m: lower and upper height of the
+    windows; equal without windows. kind: body type and attributes of the wide family, "" for others.
     """
 
-    body_type: str
     size_m: NDArray[np.float64]
     radius_m: float
     intersector: Intersector
@@ -48,13 +42,13 @@ class PoolVehicle:
 def pool_vehicle(split: str, number: int) -> PoolVehicle:
     """Return vehicle ``number`` (modulo the pool size) of a split; the splits share no seed. Source: our choice."""
     number %= POOL_SIZES[split]
-    vertices, faces, body_type = _cached_mesh(split, number)
+    vertices, faces = _cached_mesh(split, number)
     low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
     stretch = _stretch(generator("street-stretch", split, number))
     vertices = ((vertices - (low + high) / 2) * stretch).astype(np.float32)
     radius_m = float(np.linalg.norm(vertices, axis=1).max()) + 0.01
     size_m = (high - low) * stretch
-    return PoolVehicle(body_type, size_m, radius_m, Intersector(vertices, faces), glass_band_m(float(size_m[2])))
+    return PoolVehicle(size_m, radius_m, Intersector(vertices, faces), glass_band_m(float(size_m[2])))
 
 
 def glass_band_m(height_m: float) -> tuple[float, float]:
@@ -70,25 +64,25 @@ def _stretch(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.array([length, width, rng.uniform(0.95, 1.06)])
 
 
-def _build(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int32], str]:
+def _build(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     from shift3d.vehicles.family import BODY_TYPES, build_mesh, sample_spec
 
     body_type = BODY_TYPES[number % len(BODY_TYPES)]
     mesh = build_mesh(sample_spec(body_type, generator("street-pool", split, number)), RESOLUTION_M)
-    return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), body_type
+    return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
 
 
-def _cached_mesh(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int32], str]:
+def _cached_mesh(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Load the mesh from the user's cache folder, or build and cache it."""
     path = cache_folder() / f"{split}-{number:03d}.npz"
     try:
         with read_arrays(path) as stored:
-            return stored["vertices"], stored["faces"], str(stored["body_type"])
+            return stored["vertices"], stored["faces"]
     except InputError:
-        vertices, faces, body_type = _build(split, number)
+        vertices, faces = _build(split, number)
         with contextlib.suppress(InputError, OSError):  # works without a cache if the folder is not writable
-            write_arrays(path, vertices=vertices, faces=faces, body_type=np.array(body_type))
-        return vertices, faces, body_type
+            write_arrays(path, vertices=vertices, faces=faces)
+        return vertices, faces
 
 
 def cache_folder() -> Path:
