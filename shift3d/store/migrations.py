@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
 Values = dict[str, Any]
 
@@ -28,78 +28,25 @@ def _ids_as_text(values: Values) -> Values:
     return {**values, **{name: " ".join(ids) for name, ids in lists.items()}}
 
 
-def _judged_by_sides(name: str, table: pa.Table) -> pa.Table:
-    """Convert to version 9, which measures naturalness: its columns are null, and the older rule's verdict is dropped.
-
-    Version 6 already lacks `volume_share` and `mirrored`.
-    """
-    if name == "scores":
-        return _with_nulls(table, "depth_error_max_m", _NATURALNESS)
-    if name != "shapes":
-        return table
-    gone = [column for column in ("volume_share", "mirrored", "still_a_car") if column in table.column_names]
-    table = _with_nulls(table.drop_columns(gone), "height_m", _SIZES)
-    return _with_nulls(table, "largest_piece", _NEAREST)
-
-
-_NATURALNESS = {
-    "surface_distance_cm": pa.float64(),
-    "surface_distance_p95_cm": pa.float64(),
-    "naturalness_percentile": pa.float64(),
-    "natural": pa.bool_(),
-}
-_SIZES = {"clearance_m": pa.float64(), "asymmetry_cm": pa.float64()}
-_NEAREST = {
-    "nearest_member": pa.string(),
-    "to_member_cm": pa.float64(),
-    "to_member_p95_cm": pa.float64(),
-    "from_member_cm": pa.float64(),
-    "from_member_p95_cm": pa.float64(),
-    "out_of_range": pa.list_(pa.string()),
-}
-
-
-def _with_nulls(table: pa.Table, after: str, columns: Mapping[str, pa.DataType]) -> pa.Table:
-    """Return the table with columns of nulls after the column `after`."""
-    place = table.column_names.index(after) + 1
-    for offset, (column, kind) in enumerate(columns.items()):
-        table = table.add_column(place + offset, column, pa.nulls(len(table), kind))
-    return table
-
-
-def _searched_by_descent(name: str, table: pa.Table) -> pa.Table:
-    """Convert to version 8: it stores the search, which was the paper's descent in all older versions."""
-    place = table.schema.get_field_index("accuracy")
-    if place < 0:
-        return table
-    words = pa.array(["descent"] * len(table), pa.string())
-    return table.add_column(place + 1, pa.field("search", pa.string(), nullable=False), words)
-
-
-def _to_version_10(name: str, table: pa.Table) -> pa.Table:
-    """Convert to version 10: it searches over kinds; older codes are drawn in the frame of the task's vehicle."""
-    return _with_nulls(table, "replicate", {"drawn_as": pa.string()}) if name == "solutions" else table
-
-
-def _random_of_equal_budget(name: str, table: pa.Table) -> pa.Table:
-    """Convert to version 11: random_budget names the best of as many draws as the search's evaluation budget."""
-    place = table.schema.get_field_index("method")
-    if place < 0:
-        return table
-    methods = table["method"]
-    methods = pc.if_else(pc.equal(methods, "random_search"), "random_budget", methods)
-    return table.set_column(place, table.schema.field(place), methods)
-
-
 OLDEST_VERSION = 5
-# Converters to the next version, by version. Version 7 added columns to one table; version 9 drops all of them.
 _ENTRIES: Mapping[int, Callable[[Values], Values]] = {5: _ids_as_text}
-_TABLES: Mapping[int, Callable[[str, pa.Table], pa.Table]] = {
-    7: _searched_by_descent,
-    8: _judged_by_sides,
-    9: _to_version_10,
-    10: _random_of_equal_budget,
+"""Converters of log entries to the next version, by version."""
+_ADDED: Mapping[int, Mapping[str, str | None]] = {
+    7: {"search": "descent"},
+    8: dict.fromkeys(
+        [
+            *("surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural", "clearance_m"),
+            *("asymmetry_cm", "nearest_member", "to_member_cm", "to_member_p95_cm", "from_member_cm"),
+            *("from_member_p95_cm", "out_of_range"),
+        ]
+    ),
+    9: {"drawn_as": None},
 }
+"""Columns that the version after this one adds, with the value that older rows have."""
+_DROPPED = {8: ("volume_share", "mirrored", "still_a_car")}
+"""Columns that the version after this one drops: the verdict of an older rule. Version 6 lacks the first two."""
+_RENAMED_METHODS = {10: ("random_search", "random_budget")}
+"""Method that the version after this one renames: the best of as many draws as the search's evaluation budget."""
 
 
 def current_entry(values: Values, where: str) -> Values:
@@ -111,9 +58,20 @@ def current_entry(values: Values, where: str) -> Values:
 
 def current_table(name: str, table: pa.Table, version: str, where: str) -> pa.Table:
     """Migrate the table `name`, except its metadata. Raises as `current_entry`."""
+    names = SCHEMAS[name].names
     for number in older_versions(int(version) if version.isdecimal() else version, where):
-        table = _TABLES[number](name, table) if number in _TABLES else table
-    return table
+        table = table.drop_columns([column for column in _DROPPED.get(number, ()) if column in table.column_names])
+        for column, value in _ADDED.get(number, {}).items():
+            if column in names and column not in table.column_names:
+                field = SCHEMAS[name].field(column)
+                table = table.append_column(field, pa.repeat(pa.scalar(value, field.type), len(table)))
+        if number in _RENAMED_METHODS and "method" in table.column_names:
+            former, current = _RENAMED_METHODS[number]
+            place, methods = table.column_names.index("method"), table["method"]
+            methods = pc.if_else(pc.equal(methods, former), current, methods)
+            table = table.set_column(place, table.schema.field(place), methods)
+    known = [column for column in names if column in table.column_names]
+    return table.select(known + [column for column in table.column_names if column not in names])
 
 
 def older_versions(version: object, where: str) -> range:
