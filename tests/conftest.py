@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import gc
+import io
 import os
 import secrets
 import sys
@@ -50,30 +51,37 @@ def pytest_collection() -> Iterator[Any]:
 
 @pytest.fixture(scope="session", autouse=True)
 def compositions() -> Iterator[None]:
-    """Cache of Hydra's compositions: the same words over the same files are composed once per session."""
+    """Compose the same words over the same files once per session, and parse the same YAML once."""
+    from omegaconf import OmegaConf
+
     from shift3d.settings import compose
 
-    fresh, known = compose._hydra, {}
+    fresh, read = compose._composed, OmegaConf.load
+    known: dict[Any, Any] = {}
 
     def stamps(*folders: Path) -> tuple[tuple[str, int, int, int], ...]:
         files = {path: path.stat() for folder in folders for path in folder.rglob("*.yaml")}
         return tuple((str(path), at.st_mtime_ns, at.st_size, at.st_ino) for path, at in sorted(files.items()))
 
-    def remembered(sweep: Path, where: str) -> tuple[Any, Any]:
-        run, parse = fresh(sweep, where)
+    def remembered(sweep: Path, search: str, overrides: Sequence[str]) -> Any:
         folders = [folder.absolute() for folder in (*compose.places("conf"), *compose.places("sweeps"), sweep.parent)]
-        files = (str(sweep.absolute()), stamps(*(folder for folder in folders if folder.is_dir())))
+        files = stamps(*(folder for folder in folders if folder.is_dir()))
+        key = (str(sweep.absolute()), search, files, tuple(overrides))
+        if key not in known:
+            known[key] = fresh(sweep, search, overrides)  # refused words are not cached
+        return copy.deepcopy(known[key])
 
-        def once(overrides: Sequence[str]) -> Any:
-            key = (files, tuple(overrides))
-            if key not in known:
-                known[key] = run(overrides)  # refused words are not cached
-            return copy.deepcopy(known[key])
-
-        return once, parse
+    def parsed(file: Any) -> Any:
+        if not hasattr(file, "read"):
+            return read(file)
+        text = file.read()
+        if text not in known:
+            known[text] = read(io.StringIO(text))
+        return copy.deepcopy(known[text])
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compose, "_hydra", remembered)
+        patch.setattr(compose, "_composed", remembered)
+        patch.setattr(OmegaConf, "load", staticmethod(parsed))
         yield
 
 

@@ -113,29 +113,20 @@ def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
 
 def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
     """Return two functions: overrides to (plain settings, axes of the file), and texts to parsed overrides."""
-    from hydra import compose, initialize_config_dir
     from hydra.core.override_parser.overrides_parser import OverridesParser
-    from omegaconf import OmegaConf
 
     search = f"hydra.searchpath=[{','.join(_search_path())}]"
 
     def run(overrides: Sequence[str]) -> tuple[Values, Values]:
-        def plain(texts: Sequence[str]) -> tuple[Any, Any]:
-            with initialize_config_dir(config_dir=str(sweep.parent.absolute()), version_base=None):
-                config = compose(sweep.stem, overrides=[search, *texts], return_hydra_config=True)
-            own = [str(key) for key in config if key != "hydra"]
-            axes = config.hydra.sweeper.params
-            values = OmegaConf.to_container(OmegaConf.masked_copy(config, own))
-            return values, OmegaConf.to_container(axes) if axes else {}
-
         # Exception: Hydra raises errors of its own and passes on YAML errors, ValueErrors and TypeErrors.
         try:
-            return plain(overrides)
+            return _composed(sweep, search, overrides)
         except Exception as error:
             known = chosen = None
             with contextlib.suppress(Exception):  # an unreadable file also fails without overrides
-                known = chosen = plain([])[0]
-                chosen = plain([text for text in overrides if "." not in text.partition("=")[0]])[0]
+                known = chosen = _composed(sweep, search, [])[0]
+                named = [text for text in overrides if "." not in text.partition("=")[0]]
+                chosen = _composed(sweep, search, named)[0]
             raise messages.from_hydra(error, where, known, chosen, _Groups().get_group_options) from error
 
     def parse(texts: Sequence[str]) -> Any:
@@ -150,6 +141,19 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
         return parsed
 
     return run, parse
+
+
+def _composed(sweep: Path, search: str, overrides: Sequence[str]) -> tuple[Any, Any]:
+    """Return the plain settings and the axes of a sweep file under overrides. Raises: whatever Hydra raises."""
+    from hydra import compose, initialize_config_dir
+    from omegaconf import OmegaConf
+
+    with initialize_config_dir(config_dir=str(sweep.parent.absolute()), version_base=None):
+        config = compose(sweep.stem, overrides=[search, *overrides], return_hydra_config=True)
+    own = [str(key) for key in config if key != "hydra"]
+    axes = config.hydra.sweeper.params
+    values = OmegaConf.to_container(OmegaConf.masked_copy(config, own))
+    return values, OmegaConf.to_container(axes) if axes else {}
 
 
 def _search_path() -> list[str]:

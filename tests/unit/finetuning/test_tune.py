@@ -82,7 +82,7 @@ def test_at_next_to_no_rate_the_detector_stays_the_one_it_was(attacked: Path, tm
 
 
 def test_some_steps_on_one_object_raise_its_score(attacked: Path, tmp_path: Path) -> None:
-    weights = tuned(attacked, tmp_path / "out", "steps=8", "recipe.peak_rate=1e-4", "recipe.inserted_share=1")
+    weights = tuned(attacked, tmp_path / "out", "steps=4", "recipe.peak_rate=2e-4", "recipe.inserted_share=1")
     found = stable_objects(attacked, "pointpillars", file_hash(SHIPPED), "adversarial")
     unseen = weights.with_name("no_provenance.safetensors")
     unseen.write_bytes(weights.read_bytes())

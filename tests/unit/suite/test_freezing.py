@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -28,26 +29,43 @@ from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import load_assets
 from shift3d.task.run import run_task
 from shift3d.task.scoring import score_box
+from shift3d.task.spec import TaskSpec
 
-WORDS = ["vehicle=suv", "mode=shape,pose", "attack.steps=1", "attack.noise_replicates=0", "naturalness=none"]
+WORDS = ["vehicle=suv", "mode=shape,pose", "scenes.count=2", "scenes.sensor=hdl64", "attack.steps=1",
+         "attack.random_replicates=0", "attack.noise_replicates=0", "naturalness=none"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A real sweep of a shape and a pose task with shipped weights, with its final tables."""
-    return swept(tmp_path_factory.mktemp("sweep"), WORDS)
-
-
-def swept(folder: Path, words: list[str]) -> Path:
-    """Return the folder of a finished sweep."""
-    plan = make_plan(compose_sweep("smoke", words), read_catalogue)[0]
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A real sweep with shipped weights and its final tables: a shape and a pose in one scene, a pose in another."""
+    folder = tmp_path_factory.mktemp("whole")
+    plan = make_plan(compose_sweep("smoke", WORDS), read_catalogue)[0]
     open_folder(folder, plan)
-    assets = load_assets(plan.assets[0])
-    found = [completed_rows(task.spec, plan.sweep, run_task(task.spec, assets)) for task in plan.tasks]
+    assets, first = load_assets(plan.assets[0]), plan.tasks[0].spec.scene
+    specs = [task.spec for task in plan.tasks if task.spec.scene == first or task.spec.mode == "pose"]
+    found = [completed_rows(spec, plan.sweep, run_task(spec, assets)) for spec in specs]
     for name in ("scores", "solutions"):
         table = table_from_rows(name, [row for rows in found for row in rows[name]])
         write_table(folder / "final" / f"{name}.parquet", table)
     return folder
+
+
+def part_of(whole: Path, folder: Path, wanted: Callable[[TaskSpec], bool]) -> Path:
+    """Copy a sweep as if it had no other tasks than the wanted ones."""
+    ids = {task.spec.task_id for task in read_plan(whole).tasks if wanted(task.spec)}
+    shutil.copytree(whole, folder)
+    for name in ("scores", "solutions"):
+        path = folder / "final" / f"{name}.parquet"
+        rows = [row for row in read_table(path, name).to_pylist() if row["task_id"] in ids]
+        write_table(path, table_from_rows(name, rows))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sweep(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shape and the pose in one scene."""
+    first = read_plan(whole).tasks[0].spec.scene
+    return part_of(whole, tmp_path_factory.mktemp("sweep") / "one", lambda spec: spec.scene == first)
 
 
 @pytest.fixture(scope="module")
@@ -87,12 +105,12 @@ class Killed(BaseException):
 
 
 def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["vehicle=suv", "mode=pose", "scenes.count=2", "scenes.sensor=hdl64", "attack.steps=1",
-             "attack.random_replicates=0", "naturalness=none"]  # fmt: skip
-    sweep, alone = swept(tmp_path / "sweep", words), SelectionRule(controls=False)
-    whole = freeze_suite(sweep, tmp_path / "whole", alone)
+    sweep = part_of(whole, tmp_path / "sweep", lambda spec: spec.mode == "pose")
+    alone = SelectionRule(controls=False)
+    at_once = freeze_suite(sweep, tmp_path / "whole", alone)
+    assert at_once.suite.manifest["scenes"] == 2
     scored = []
 
     def last_scene_is_killed(*arguments: object) -> object:
@@ -110,7 +128,7 @@ def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_
     shutil.rmtree(tmp_path / "lost" / "backgrounds")
     freeze_suite(sweep, tmp_path / "lost", alone)
     assert tree(tmp_path / "lost") == tree(tmp_path / "whole"), "a scene without its background is frozen once more"
-    assert resumed.suite.digest == whole.suite.digest
+    assert resumed.suite.digest == at_once.suite.digest
     assert tree(tmp_path / "killed") == tree(tmp_path / "whole")
 
 

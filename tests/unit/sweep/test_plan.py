@@ -72,10 +72,10 @@ def test_unknown_scene_and_vehicle() -> None:
     with pytest.raises(InputError, match=r"unknown scene 'nort'\. Did you mean 'north'"):
         make_plan(compose_sweep("default", ["scene=nort", "vehicle=suv"]), catalogue)
     with pytest.raises(InputError, match="unknown vehicle 'tram'"):
-        make_plan(compose_sweep("default", ["vehicle.name=tram"]), catalogue)
+        make_plan(compose_sweep("default", ["vehicle=suv", "vehicle.name=tram"]), catalogue)
     with pytest.raises(InputError, match=r"2 vehicles have a name that begins with 'co'\. One of: coupe, convertible"):
-        make_plan(compose_sweep("default", ["vehicle.name=co"]), catalogue)
-    short = make_plan(compose_sweep("default", ["vehicle.name=beach"]), catalogue)[0]
+        make_plan(compose_sweep("default", ["vehicle=suv", "vehicle.name=co"]), catalogue)
+    short = make_plan(compose_sweep("default", ["vehicle=suv", "vehicle.name=beach"]), catalogue)[0]
     assert {task.spec.vehicle for task in short.tasks} == {"beach_wagon"}
     one = make_plan(compose_sweep("default", ["scene=south", "vehicle=suv"]), catalogue)[0]
     assert {task.spec.scene for task in one.tasks} == {"south"}

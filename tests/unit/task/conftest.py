@@ -10,7 +10,7 @@ from short_tasks import SHORT, STREET, THERE, WIDE, make_spec
 
 from shift3d.naturalness.build import load_reference
 from shift3d.naturalness.sources import reference_source
-from shift3d.task.assets import Assets, load_assets
+from shift3d.task.assets import Assets, load_assets, render_settings
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.run import run_task
 from shift3d.task.spec import TransferScene
@@ -19,6 +19,13 @@ from shift3d.task.spec import TransferScene
 @pytest.fixture(scope="session")
 def assets() -> Assets:
     return load_assets(AssetsSpec(scenes=STREET))
+
+
+@pytest.fixture(scope="session")
+def referenced(assets: Assets) -> Assets:
+    """The same assets with a small reference set of naturalness, and the grid that their tasks need."""
+    assets.sdf_grid_of(make_spec(), render_settings(make_spec()))  # before a test empties the cache folder
+    return dataclasses.replace(assets, reference=WIDE, _own_naturalness={})
 
 
 @pytest.fixture(scope="session")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import OrderedDict
 from typing import Any
 
-from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.catalogue.reading import accuracy_settings, vehicle_source
 from shift3d.settings.schema.config import AccuracyConfig
+from shift3d.task.assets import Assets
 from shift3d.task.exchange import TaskResult
 from shift3d.task.spec import AttackSpec, TaskSpec
 
@@ -16,10 +18,6 @@ SHORT = AttackSpec(steps=3, noise_replicates=2)
 KNOWN = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.01}
 KNOWN |= {"detector": "p", "accuracy": "a", "search": "descent"}
 """Columns that a sweep fills in."""
-NO_GRID: dict[str, Any] = {
-    "accuracy_settings": accuracy_settings(AccuracyConfig(name="standard", render={"sdf_grid": False}))
-}
-"""For a spec with an empty cache folder, where making a grid takes longer than it saves."""
 WIDE = {"kind": "wide", "members": 40}
 """Settings of a small reference set."""
 
@@ -43,3 +41,16 @@ def make_spec(mode: str = "shape", **changes: object) -> TaskSpec:
 
 def by_method(result: TaskResult, method: str) -> list[dict]:
     return [row for row in result.scores if row["method"] == method]
+
+
+def with_own_caches(assets: Assets, **changes: Any) -> Assets:
+    """Return the same assets as of a worker that ran no task; scenes and detectors, slow to load, are shared."""
+    fresh: dict[str, Any] = {name: {} for name in ("poses", "_decoders", "_vehicle_hashes", "_own_naturalness")}
+    fresh |= {"baselines": OrderedDict(), "_sdf_grids": OrderedDict()}
+    return dataclasses.replace(assets, **fresh | changes)
+
+
+def with_vehicles(assets: Assets, folder: str) -> Assets:
+    """Return the same assets with the vehicles of a folder."""
+    source = vehicle_source({"kind": "set", "folder": folder})
+    return with_own_caches(assets, vehicles=source, decoder=source.decoder())

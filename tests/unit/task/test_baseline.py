@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from short_tasks import SHORT, STREET, THERE, make_spec
+from short_tasks import SHORT, THERE, make_spec, with_own_caches
 
-from shift3d.task.assets import Assets, load_assets
-from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.assets import Assets
+from shift3d.task.exchange import TaskResult
 from shift3d.task.problem import place_vehicle, placed_pose
 from shift3d.task.run import run_task
 from shift3d.task.spec import PlacementSpec, TransferScene
@@ -26,11 +26,12 @@ def without_times(result: TaskResult) -> dict[str, list]:
     return {name: rows for name, rows in vars(result).items() if name != "timings"}
 
 
-def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone() -> None:
+def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone(assets: Assets) -> None:
     """Two workers run the same two specs in opposite order and give the same rows."""
-    short = replace(SHORT, steps=1, random_replicates=0, noise_replicates=1)
-    specs = make_spec(transfer_scenes=(TransferScene(THERE, ""),), attack=short), make_spec("pose", attack=short)
-    one, other = (load_assets(AssetsSpec(scenes=STREET)) for _ in range(2))
+    short = replace(SHORT, steps=1, random_replicates=0)
+    unmoved = replace(short, steps=0, noise_replicates=1)
+    specs = make_spec(transfer_scenes=(TransferScene(THERE, ""),), attack=unmoved), make_spec("pose", attack=short)
+    one, other = (with_own_caches(assets) for _ in range(2))
     first, second = (run_task(spec, one) for spec in specs)
     assert baseline_stages(first).keys() >= {"placement", "render", "detector", "audit"}
     assert sum(baseline_stages(second).values()) == 0.0
@@ -75,10 +76,10 @@ def test_a_place_is_looked_for_once_a_worker(assets: Assets) -> None:
         assert not torch.equal(elsewhere, expected + 2.0)
 
 
-def test_tasks_that_share_a_scene_without_room_each_say_so() -> None:
-    assets = load_assets(AssetsSpec(scenes=STREET))
+def test_tasks_that_share_a_scene_without_room_each_say_so(assets: Assets) -> None:
+    own = with_own_caches(assets)
     nowhere = PlacementSpec(min_object_points=1_000_000, attempts=2)
-    found = [run_task(make_spec(mode, placement=nowhere), assets) for mode in ("shape", "pose")]
+    found = [run_task(make_spec(mode, placement=nowhere), own) for mode in ("shape", "pose")]
     assert [{row["status"] for row in result.scores} for result in found] == [{"no_placement"}] * 2
     assert "placement" in baseline_stages(found[0]) and not baseline_stages(found[1])
 

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections import OrderedDict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,10 @@ from short_tasks import STREET, make_spec
 
 from shift3d.effects.applicability import NEEDS
 from shift3d.scenes.kitti.files import read_points
-from shift3d.task.assets import Assets, load_assets
-from shift3d.task.exchange import AssetsSpec, TaskResult
-from shift3d.task.follow_ups.export import export_solution
+from shift3d.settings.schema.scenes import scene_config, scene_set
+from shift3d.task.assets import Assets
+from shift3d.task.exchange import TaskResult
+from shift3d.task.follow_ups import export
 from shift3d.task.problem import build_problem
 from shift3d.task.run import run_task
 from shift3d.task.scoring import score_points
@@ -42,7 +44,7 @@ from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import load_assets
 from shift3d.task.run import run_task
 
-words = ["scenes.count=1", "scenes.sensor=hdl64", "vehicle=suv", "mode=pose", "attack=short", "attack.steps=1"]
+words = ["scenes.count=1", "scenes.sensor=hdl64", "vehicle=suv", "mode=pose", "attack=short", "attack.steps=0"]
 words += ["naturalness=none", "attack.random_replicates=0"]
 plans = [make_plan(compose_sweep("default", [*words, f"effects={e}"]), read_catalogue)[0] for e in ("auto", "none")]
 (task,), (paper,) = (plan.tasks for plan in plans)
@@ -69,8 +71,7 @@ def test_a_dry_scene_with_one_return_runs_occlusion_alone_and_imports_no_effect(
 @pytest.fixture(scope="module")
 def rich(assets: Assets) -> Assets:
     """The same assets with other scenes."""
-    scenes = load_assets(AssetsSpec(scenes=RICH)).scenes
-    return dataclasses.replace(assets, scenes=scenes, poses={}, _scenes=OrderedDict())
+    return dataclasses.replace(assets, scenes=scene_set(scene_config(RICH)), poses={}, _scenes=OrderedDict())
 
 
 def rich_spec(assets: Assets, *effects: str) -> TaskSpec:
@@ -99,10 +100,13 @@ def test_time_is_told_by_effect(everything: TaskResult) -> None:
     assert all(row["milliseconds"] >= 0.0 for row in everything.timings)
 
 
-def test_a_written_scene_with_effects_gets_the_same_score(rich: Assets, everything: TaskResult, tmp_path: Path) -> None:
+def test_a_written_scene_with_effects_gets_the_same_score(
+    rich: Assets, everything: TaskResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, export.vehicle_mesh.__name__, partial(export.vehicle_mesh, resolution=33))
     spec = rich_spec(rich, *NEEDS)
     solution, row = everything.solutions[-1], everything.scores[-1]
-    export_solution(spec, solution, rich, tmp_path)
+    export.export_solution(spec, solution, rich, tmp_path)
     points, _ = read_points(tmp_path / "scene.bin")
     hits = np.load(tmp_path / "hit_mask.npy")
     assert len(hits) == len(points) and int(hits.sum()) == row["object_points"] > 0

@@ -41,8 +41,8 @@ def sent(tmp_path_factory: pytest.TempPathFactory) -> AssetsSpec:
 
 
 @pytest.fixture(scope="module")
-def assets(sent: AssetsSpec) -> Assets:
-    return load_assets(sent)
+def assets(assets: Assets, sent: AssetsSpec) -> Assets:
+    return dataclasses.replace(load_assets(sent), _scenes=assets._scenes)
 
 
 def attacked(detector: str, assets: Assets) -> dict[str, dict[str, Any]]:

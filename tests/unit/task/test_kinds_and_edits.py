@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from short_tasks import STREET, THERE, by_method, make_spec
+from short_tasks import THERE, by_method, make_spec, with_vehicles
 
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.errors import InputError
@@ -13,8 +13,7 @@ from shift3d.placement.sampling import Placement
 from shift3d.settings.catalogue.reading import read_catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.plan import make_plan
-from shift3d.task.assets import Assets, load_assets
-from shift3d.task.exchange import AssetsSpec
+from shift3d.task.assets import Assets
 from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.problem import build_problem, place_vehicle, with_other_vehicle
 from shift3d.task.run import run_task
@@ -23,12 +22,12 @@ from shift3d.task.spec import AttackSpec, TransferScene
 
 
 @pytest.fixture(scope="module")
-def wide() -> Assets:
-    return load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": "wide"}))
+def wide(assets: Assets) -> Assets:
+    return with_vehicles(assets, "wide")
 
 
 def test_a_search_over_kinds_says_as_which_vehicle_its_shape_is_drawn(wide: Assets) -> None:
-    attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=1, search="random", space="family")
+    attack = AttackSpec(steps=1, random_replicates=0, noise_replicates=1, search="random", space="family")
     spec = make_spec(vehicle="sedan", lambda_=0.0, attack=attack)
     found = run_task(spec, wide)
     drawn_as = {row["method"]: row["drawn_as"] for row in found.solutions}
@@ -49,7 +48,7 @@ def test_a_search_over_kinds_says_as_which_vehicle_its_shape_is_drawn(wide: Asse
 
 def test_a_universal_search_over_kinds_puts_each_kind_into_every_scene(wide: Assets) -> None:
     attack = AttackSpec(
-        steps=3, random_replicates=0, noise_replicates=0, search="random", space="family", search_scenes=1
+        steps=1, random_replicates=0, noise_replicates=0, search="random", space="family", search_scenes=1
     )
     spec = make_spec(vehicle="sedan", lambda_=0.0, attack=attack, transfer_scenes=(TransferScene(THERE, ""),))
     found = run_task(spec, wide)
@@ -73,10 +72,9 @@ def test_a_search_that_cannot_go_over_kinds_is_refused() -> None:
         make_plan(compose_sweep("default", words), read_catalogue)
 
 
-def test_a_vehicle_without_parameters_is_a_kind_of_its_own() -> None:
+def test_a_vehicle_without_parameters_is_a_kind_of_its_own(assets: Assets) -> None:
     """The vehicle's shape moves along the principal components of the set's codes; its length is its own."""
-    assets = load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": None}))
-    attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family", components=6)
+    attack = AttackSpec(steps=1, random_replicates=0, noise_replicates=0, search="random", space="family", components=6)
     found = run_task(make_spec(vehicle="suv", lambda_=0.0, attack=attack), assets)
     (solution,) = (row for row in found.solutions if row["method"] == "adversarial")
     vehicle = assets.vehicles.vehicle(solution["drawn_as"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 import shutil
 from dataclasses import replace
@@ -10,7 +12,7 @@ from pathlib import Path, PurePath
 import numpy as np
 import pytest
 import torch
-from short_tasks import NO_GRID, STREET, WIDE, make_spec
+from short_tasks import STREET, WIDE, make_spec
 
 from shift3d.errors import InputError
 from shift3d.naturalness.build import reference_file
@@ -18,12 +20,12 @@ from shift3d.naturalness.measure import NO_SURFACE_MEASURE, NaturalnessMeasure, 
 from shift3d.naturalness.reference import NearestMember
 from shift3d.naturalness.sizes import Sizes
 from shift3d.naturalness.sources import reference_source, source_hash
-from shift3d.task.assets import load_assets, prepare_naturalness
+from shift3d.task.assets import Assets, prepare_naturalness
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.measure_cache import cached_measures
 from shift3d.task.run import run_task
 from shift3d.task.spec import AttackSpec, TaskSpec
-from shift3d.vehicles.sources import VehicleSource
+from shift3d.vehicles.sources import VehicleSet, VehicleSource
 
 FAMILY = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family", naturalness=95)
 SHAPE = NaturalnessMeasure(
@@ -52,7 +54,24 @@ def cache(wide_reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.fixture(scope="module")
 def shipped() -> VehicleSource:
-    return load_assets(AssetsSpec(scenes=STREET)).vehicles
+    return VehicleSet()
+
+
+@pytest.fixture(scope="module")
+def driven(wide_reference: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A cache folder in which the driver measured every kind, to copy, and what it printed meanwhile."""
+    folder = shutil.copytree(wide_reference, tmp_path_factory.mktemp("driven") / "cache")
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(io.StringIO()) as printed:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        prepare_naturalness(SPEC, [make_spec(attack=FAMILY)])
+    return Path(folder), printed.getvalue()
+
+
+@pytest.fixture
+def worker(driven: tuple[Path, str], referenced: Assets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Assets:
+    """Assets of a worker that measured nothing yet, beside the driver's cache folder."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(shutil.copytree(driven[0], tmp_path / "driven")))
+    return replace(referenced, _own_naturalness={})
 
 
 def kept(vehicles: VehicleSource, measures: Counted, reference: str = "r") -> dict[str, NaturalnessMeasure]:
@@ -107,24 +126,23 @@ def test_a_file_that_is_torn_or_changed_is_made_again(shipped: VehicleSource, ca
 
 
 def test_the_driver_measures_every_kind_before_the_workers(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    driven: tuple[Path, str], worker: Assets, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The driver measures once, with a bar and the workers' threads: a worker then measures its found shapes alone."""
-    spec = make_spec(attack=FAMILY, lambda_=0.0, reference_hash=source_hash(reference_source(WIDE)), **NO_GRID)
+    spec = make_spec(attack=FAMILY, lambda_=0.0, reference_hash=source_hash(reference_source(WIDE)))
+    assert "measuring how natural each vehicle is" in driven[1]
     threads = torch.get_num_threads()
     prepare_naturalness(SPEC, [spec])
-    assert "measuring how natural each vehicle is" in capsys.readouterr().err
     assert torch.get_num_threads() == threads
     torch.set_num_threads(SPEC.threads)
     try:
-        assets = load_assets(SPEC)
-        wanted = assets.naturalness(spec).of_code  # type: ignore[union-attr]
-        vehicle = assets.vehicles.vehicle("coupe")
-        directly = wanted(vehicle, assets.decoder, vehicle.latent_code)
+        wanted = worker.naturalness(spec).of_code  # type: ignore[union-attr]
+        vehicle = worker.vehicles.vehicle("coupe")
+        directly = wanted(vehicle, worker.decoder, vehicle.latent_code)
         codes = measured_codes(monkeypatch)
-        assert repr(assets.naturalness_of_kinds(spec)["coupe"]) == repr(directly) and not codes
-        run_task(spec, assets)
-        own = [assets.vehicles.vehicle(name).latent_code for name in assets.vehicles.kinds()]
+        assert repr(worker.naturalness_of_kinds(spec)["coupe"]) == repr(directly) and not codes
+        run_task(spec, worker)
+        own = [worker.vehicles.vehicle(name).latent_code for name in worker.vehicles.kinds()]
         assert codes and not any(np.array_equal(code, known) for code in codes for known in own)
     finally:
         torch.set_num_threads(threads)
@@ -157,10 +175,10 @@ def pose_of(attack: AttackSpec) -> TaskSpec:
     return make_spec("pose", attack=attack)
 
 
-def test_a_search_over_kinds_without_a_budget_measures_none(cache: Path) -> None:
-    attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family")
-    spec = make_spec(attack=attack, lambda_=0.0, reference_hash=source_hash(reference_source(WIDE)), **NO_GRID)
-    assert run_task(spec, load_assets(SPEC)).shapes
+def test_a_search_over_kinds_without_a_budget_measures_none(cache: Path, referenced: Assets) -> None:
+    attack = AttackSpec(steps=1, random_replicates=0, noise_replicates=0, search="random", space="family")
+    spec = make_spec(attack=attack, lambda_=0.0, reference_hash=source_hash(reference_source(WIDE)))
+    assert run_task(spec, replace(referenced, _own_naturalness={})).shapes
     assert not cache.exists()
 
 
@@ -173,7 +191,7 @@ def test_vehicles_beyond_their_budget_are_named_before_anything_runs() -> None:
         prepare_naturalness(SPEC, [*templates, make_spec(attack=AttackSpec(naturalness=100.0))])
 
 
-def test_a_budget_that_no_kind_keeps_is_refused_before_anything_runs() -> None:
+def test_a_budget_that_no_kind_keeps_is_refused_before_anything_runs(worker: Assets) -> None:
     """Each of its tasks would fail, and no other value of an axis helps. A task alone gives the same error."""
     tight = make_spec(attack=replace(FAMILY, naturalness=1e-6), reference_hash=source_hash(reference_source(WIDE)))
     prepare_naturalness(SPEC, [make_spec(attack=FAMILY)])
@@ -181,4 +199,4 @@ def test_a_budget_that_no_kind_keeps_is_refused_before_anything_runs() -> None:
     with pytest.raises(InputError, match=error):
         prepare_naturalness(SPEC, [make_spec(attack=FAMILY), tight])
     with pytest.raises(InputError, match=error):
-        run_task(tight, load_assets(SPEC))
+        run_task(tight, worker)

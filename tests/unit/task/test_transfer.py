@@ -84,7 +84,7 @@ def test_another_scene_that_changed_after_planning_is_refused(assets: Assets) ->
 
 
 def test_a_scene_that_was_searched_in_judges_nothing(assets: Assets) -> None:
-    short = AttackSpec(steps=1, noise_replicates=0, random_replicates=0, search_scenes=1)
+    short = AttackSpec(steps=0, noise_replicates=0, random_replicates=0, search_scenes=1)
     spec = make_spec(transfer_scenes=TRANSFER, attack=short)
     found = run_task(spec, assets)
     assert found.transfers == [] and spec.search == "descent_universal2" and searched_in(found) == [1]
@@ -99,7 +99,7 @@ def test_a_scene_that_was_searched_in_judges_nothing(assets: Assets) -> None:
 
 
 def test_a_scene_without_room_is_counted_where_a_universal_shape_is_searched(assets: Assets) -> None:
-    short = AttackSpec(steps=1, noise_replicates=0, random_replicates=0, search_scenes=1)
+    short = AttackSpec(steps=0, noise_replicates=0, random_replicates=0, search_scenes=1)
     # Three draws find a place in its own scene, and none in the other.
     few = make_spec(transfer_scenes=TRANSFER, attack=short, replicate=1, placement=PlacementSpec(attempts=3))
     found = run_task(few, assets)
