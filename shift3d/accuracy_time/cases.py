@@ -22,8 +22,11 @@ from shift3d.task.spec import TaskSpec
 
 @dataclass(frozen=True)
 class Case:
-    """One vehicle at one place, in the scene set of a name. spec: of a shape task; its accuracy is not used. theta:
-    (6,) float64 pose, scene frame. beams: number of beams of the scene."""
+    """One vehicle at one place.
+
+    scenes: name of the scene set in the table. spec: spec of a shape task for this case; its accuracy is not used.
+    theta: (6,) float64 pose, scene frame. beams: number of beams of the scene.
+    """
 
     scenes: str
     spec: TaskSpec
@@ -37,6 +40,7 @@ class Case:
 
     @property
     def name(self) -> str:
+        """Readable name."""
         return f"{self.spec.vehicle} at {self.range_m:.1f} m in {self.spec.scene}"
 
 

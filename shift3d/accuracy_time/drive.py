@@ -46,8 +46,13 @@ class SceneGroup:
 
 @dataclass(frozen=True)
 class FrontierPlan:
-    """Plan of the measurements. settings: rows of the table. cases: (vehicle, metres) in every group. within_m: their
-    tolerance. reference, search, descent_steps: see `make_truth`. warm_steps: see `CaseMeasurer`."""
+    """Plan of the measurements.
+
+    settings: rows of the table. cases: (vehicle, distance in metres) in every group. reference: setting of the ground
+    truth; its detector window is wider than that of any setting, whole scenes excepted. search, descent_steps: setting
+    and length of the attack that displaces the shape. within_m: tolerance of a vehicle's distance. warm_steps:
+    consecutive renderings before a warm rendering is measured.
+    """
 
     settings: tuple[Setting, ...]
     cases: tuple[tuple[str, float], ...]
@@ -69,8 +74,10 @@ def measure_frontier(
 ) -> list[CaseResults]:
     """Measure every setting on every case, except measurements that the folder already holds.
 
-    folder: ``measured/`` holds a truth and a journal per case, named by a hash of all dependencies. again: delete
-    earlier measurements of all cases before the first new one, but not the truths. A later call without it resumes.
+    Args:
+        folder: output folder. ``measured/`` holds a truth and a journal per case, named by a hash of all dependencies.
+        again: delete earlier measurements of all cases before the first new one, but not the truths. A later call
+            without it resumes.
 
     Raises: InputError: missing assets or a case without a place, before any measurement; a full disk.
     """

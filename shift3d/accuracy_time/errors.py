@@ -20,7 +20,11 @@ _CHORD_M = 0.05
 
 @dataclass(frozen=True)
 class TrueHits:
-    """Ground truth of first hits: (M,) beams that hit, ascending, their ranges float64, and their `chord_lengths`."""
+    """Ground truth of first hits.
+
+    index: (M,) beams that hit, ascending. range_m: (M,) float64 ranges. chord_m: (M,) float64 length of each beam's
+    segment inside the object behind its hit, at most 5 cm.
+    """
 
     index: Tensor
     range_m: Tensor
@@ -36,9 +40,9 @@ class TrueHits:
 class RenderingErrors:
     """Numbers of wrong beams, and the depth errors of hits on the right surface.
 
-    hits, thick_hits: true hits, and `TrueHits.thick` ones. missed, missed_thick: those that the rendering misses.
-    wrong: hits more than 1 cm off the true range. false: hits of beams without a true hit. depth_m: |depth error| of
-    the remaining hits, metres.
+    hits, thick_hits: true hits, and true hits with a chord of 2 cm or more. missed, missed_thick: true hits of either
+    kind that the rendering misses. wrong: hits more than 1 cm off the true range. false: hits of beams without a true
+    hit. depth_m: |depth error| of the remaining hits, metres.
     """
 
     hits: int
@@ -51,10 +55,14 @@ class RenderingErrors:
 
 
 def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
-    """Measure the length (M,) of each ray inside the object behind its hit (M,), by samples every 2 mm; at most 5 cm.
+    """Measure the length of each ray inside the object behind its hit, by samples every 2 mm; at most 5 cm.
 
-    field: metric, in the rays' object frame. Use float64: a hit is only as exact as its field. A chord ends at the zero
-    of the line through the last sample inside and the next. Below 2 mm it is zero unless the first sample is inside.
+    Args:
+        field: metric signed distance field in the object frame. Use float64: a hit is only as exact as its field.
+        rays: (M) beams in the object frame. hit_m: (M,) ranges of their hits.
+
+    Returns: (M,) float64 metres, up to the zero of the line through the last sample inside and the next sample. A chord
+    shorter than 2 mm is zero unless the first sample is inside the chord.
     """
     length = torch.zeros(len(rays), dtype=torch.float64)
     g_before = torch.zeros_like(length)

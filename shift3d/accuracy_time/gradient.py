@@ -19,8 +19,9 @@ from shift3d.render.solvers.search import WarmStart
 class AttackStep:
     """One attack step: rendering, detector, constraints, and backward pass.
 
-    loss: adversarial loss. dz: (d,), dtheta: (6,) its gradient, zero for a variable without one. at_points: (N, 3) its
-    gradient at the rendered points; None if no gradient reaches them. detector_ms: forward and backward.
+    loss: value of the adversarial loss. dz: (d,) and dtheta: (6,) gradient of the loss, zero for a variable without a
+    gradient. at_points: (N, 3) gradient of the loss at the rendered points, from which dz and dtheta follow; None if no
+    gradient reaches the points. render_ms, detector_ms (forward and backward), total_ms: times.
     """
 
     rendering: Rendering
@@ -46,9 +47,12 @@ def attack_step(
 ) -> AttackStep:
     """Compute and time one attack step, without the update of the variable.
 
-    problem: its detector has the precision of the search. radius_m: radius of the detector's window; None: the whole
-    scene. of_code, of_pose: variables of the gradient. incremental: has processed the previous rendering, as in an
-    attack. at_points: (N, 3) replaces the detector's gradient at the points; the backward pass is then the renderer's.
+    Args:
+        problem: attack whose detector has the precision of the search.
+        code, theta: (d,), (6,). radius_m: radius of the detector's window; None: the whole scene.
+        of_code, of_pose: variables of the gradient; an attack on the shape needs of_code only.
+        incremental: incremental inference that has processed the previous rendering, as in an attack.
+        at_points: (N, 3) replaces the detector's gradient at the points; the backward pass is then the renderer's only.
 
     The backward pass stops at the points to time the detector's part. The gradient is the same as in one pass.
     """

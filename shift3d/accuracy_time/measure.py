@@ -49,8 +49,8 @@ class _Prepared:
 class CaseMeasurer:
     """Measurement of settings on one case.
 
-    exact: preset that made the truth; its field gives the residual |g|. warm_steps: consecutive renderings before the
-    measured warm one. slow_s: a setting with a slower rendering is rendered once.
+    truth: ground truth of the case. exact: preset that made the truth; its field gives the residual |g|. warm_steps:
+    consecutive renderings before the measured warm one. slow_s: a setting with a slower rendering is rendered once.
     """
 
     case: Case

@@ -38,10 +38,12 @@ def effective_error_m(columns: Mapping[str, Any]) -> FloatArray:
 
     ``0.5 p50 + 0.49 p99 + 0.01 max + MISPLACED_M * (missed + wrong surface + false hits)``
 
-    The first three terms bound the mean of |depth error|: half of the hits are within the median, another 49 % within
-    the 99th percentile, the last 1 % within the maximum. No outlier is hidden, unlike in a ranking by one column.
+    The first three terms bound the mean of |depth error| by its median, 99th percentile and maximum: half of the hits
+    are within the median, another 49 % within the percentile, the last 1 % within the maximum. Neither a good median
+    nor a good percentile hides an outlier, unlike a ranking by one column.
 
-    columns: columns (N,) of the frontier.
+    columns: depth_p50_m, depth_p99_m, depth_max_m and the fractions missed_hits, wrong_surface, false_hits, (N,) each,
+    as in the frontier's table.
     """
     depth = 0.5 * _floats(columns["depth_p50_m"]) + 0.49 * _floats(columns["depth_p99_m"])
     depth = depth + 0.01 * _floats(columns["depth_max_m"])
@@ -70,9 +72,13 @@ def dominating_rows(
     equal in both do not dominate each other, so both can be on the front. Of several dominating rows the result is the
     fastest, then the most accurate, then the first; that row is itself on the front.
 
-    warm: (N,) bool, rows that need a previous rendering: they dominate warm rows only; a cold row can dominate any row.
-    grid: (N,) bool, likewise for rows that need an SDF grid of the shape. gradient: (N,) variable that a row prepares
-    the gradient for; "no": none. Only rows with the same variable can dominate a row with a variable.
+    Args:
+        time, error: (N,), finite, in any unit; smaller is better.
+        warm: (N,) bool, True for rows that need a previous rendering. A warm row cannot replace a cold row, so it
+            dominates warm rows only; a cold row can dominate any row. None: all rows are cold.
+        grid: (N,) bool, likewise for rows that need an SDF grid of the shape.
+        gradient: (N,) variable that a row prepares the gradient for; "no": none. Only rows with the same variable can
+            dominate a row with a variable. None: all "no".
 
     Raises: ValueError: a time or an error is not finite, or the lengths differ.
     """
@@ -135,9 +141,11 @@ def log_axis_errors(error: npt.ArrayLike, least: float) -> FloatArray:
 def knee(time: npt.ArrayLike, error: npt.ArrayLike) -> int | None:
     """Find the knee of a front: the point farthest below the line between the front's ends, both axes logarithmic.
 
-    The front's ends are scaled to distance one on either axis. ``log_axis_errors`` places errors of zero. Times (N,),
-    in any order, are positive. Returns the point's number, the fastest of equally far points; None with fewer than
-    three points, equal ends, or no point below the line.
+    Faster points lose much accuracy; slower points cost much time for little accuracy. The front's ends are scaled to
+    distance one on either axis, so that units do not matter. ``log_axis_errors`` places errors of zero.
+
+    time, error: (N,) of a front, in any order; times are positive. Returns the point's number, the fastest of equally
+    far points; None with fewer than three points, equal ends, or no point below the line.
     """
     times, errors = _floats(time), log_axis_errors(error, 1.0)
     order = np.argsort(times, kind="stable")

@@ -20,8 +20,10 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class CaseResults:
-    """Results of one case, by the setting's name. scenes: scene set. beams: number of beams of the scene. undecided:
-    number of beams that the reference could not decide; the ground truth lacks them."""
+    """Results of one case. scenes: scene set. beams: number of beams of the scene. results: by the setting's name.
+
+    undecided: number of beams that the reference could not decide; the ground truth lacks them.
+    """
 
     scenes: str
     beams: int
@@ -33,8 +35,8 @@ def frontier_rows(settings: Sequence[Setting], cases: Sequence[CaseResults]) -> 
     """Compute a row per scene set and setting for `store.frontier_table`, grouped by scene set.
 
     Counts and depths are pooled over the set's renderings. Times are the median and quartiles of each case's repeats,
-    averaged over the cases. Ratios are null if the preset `paper`, or `paper` on the sphere's chord only, was not
-    measured. Gradient columns hold the worst case.
+    averaged over the cases: the spread is that of repeats, not of near and far vehicles. Ratios are null if the preset
+    `paper`, or `paper` on the sphere's chord only, was not measured. Gradient columns hold the worst case.
     """
     rows: list[Row] = []
     for scenes in dict.fromkeys(case.scenes for case in cases):

@@ -30,8 +30,11 @@ class RepeatLimits:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Results of one setting on one case; see `measure.CaseMeasurer` for the outcomes. steps: times of the attack
-    steps, including that of `look`. samples_ms: times of renderings, at least one."""
+    """Results of one setting on one case; see `measure.CaseMeasurer` for the outcomes.
+
+    displaced: None if the setting skips the displaced shape. attack: None without attacks. steps: times of the attack
+    steps, including that of `look`. samples_ms: times of renderings, at least one.
+    """
 
     look: Outcome
     displaced: Outcome | None
@@ -81,7 +84,7 @@ def measure_case(
 ) -> dict[str, CaseResult]:
     """Measure everything missing from the journal, in an order that spreads the machine's drift over all settings.
 
-    tell: called before each measurement with 0 seconds and after it with the expected seconds.
+    tell: progress callback, called before each measurement with 0 seconds and after it with the expected seconds.
 
     Returns: results by the setting's name.
     """

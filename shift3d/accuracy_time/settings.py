@@ -11,9 +11,11 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class Setting:
-    """Setting of one row of the frontier, see `store.frontier_table`, `settings.accuracy_time.FrontierSettingConfig`.
+    """Setting of one row of the frontier.
 
-    accuracy: every renderer setting as plain values, and "detector", the precision in the search.
+    name, method, knob, knob_name, preset: columns of the table, see `store.frontier_table`. accuracy: every renderer
+    setting as plain values and "detector", the precision in the search, from
+    `settings.catalogue.reading.accuracy_settings`. Other fields: see `settings.accuracy_time.FrontierSettingConfig`.
     """
 
     name: str

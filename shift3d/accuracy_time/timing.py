@@ -20,7 +20,7 @@ def milliseconds(call: Callable[[], object]) -> float:
 def num_further_timings(first_ms: float, most: int, seconds: float, slow_s: float) -> int:
     """Return the number of further timings of a call: as many as fit into `seconds`, at least 1 and at most `most`.
 
-    first_ms: time of the first run; beyond slow_s it is the only timing (0).
+    first_ms: time of the first run. If the first run exceeds slow_s, the number is 0: the first run is the only timing.
     """
     if first_ms > 1e3 * slow_s:
         return 0

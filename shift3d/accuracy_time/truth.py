@@ -37,8 +37,11 @@ SHAPES = ("start", "displaced")
 
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth of one case, by shape: latent codes (d,) float64, first hits, final scores of the float64 detector,
-    numbers of beams that the reference could not decide; dz (d,), dtheta (6,): float64 gradient at "start"."""
+    """Ground truth of one case; dictionaries by shape.
+
+    codes: (d,) float64 latent codes. hits: first hits and their chords. scores: final scores of the float64 detector.
+    unresolved: number of beams that the reference could not decide. dz: (d,), dtheta: (6,) float64 gradient at "start".
+    """
 
     codes: dict[str, Tensor]
     hits: dict[str, TrueHits]
@@ -96,8 +99,8 @@ def score_of(
 ) -> float:
     """Compute the final score of an existing rendering, as `task.scoring.score_object` does for its own rendering.
 
-    detector: in the precision of scores. window_m: radius of the detector's window; None: the whole scene. radius_m:
-    largest distance between the centres of the object and of a bounding box that detects it.
+    detector: detector in the precision of scores. window_m: radius of the detector's window; None: the whole scene.
+    radius_m: largest distance between the centres of the object and of a bounding box that detects it.
     """
     with torch.no_grad():
         points = to_network_frame(rendering.points.detach(), problem.ground_z_m)

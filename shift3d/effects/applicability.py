@@ -34,6 +34,8 @@ class DataRequirement:
     needs_reflectance_reader: bool = False
 
 
+_MOVING = "neither firing times with a velocity of the sensor, nor with a speed of the object"
+
 NEEDS: Mapping[str, DataRequirement] = {
     # In the order in which the effects act.
     "origins": DataRequirement(lambda scene: scene.origins > 1, "all beams start in one place"),
@@ -42,7 +44,7 @@ NEEDS: Mapping[str, DataRequirement] = {
     ),
     "rolling_shutter": DataRequirement(
         lambda scene: scene.scan_s > 0.0 and (scene.object_speed_m_s != 0.0 or _ego_moves(scene)),
-        "neither firing times with a velocity of the sensor, nor with a speed of the object",
+        _MOVING,
         "Use scenes with firing times; give effects.object_speed_m_s",
     ),
     "divergence": DataRequirement(
@@ -88,7 +90,8 @@ def _ego_moves(scene: SceneFacts) -> bool:
 
 @dataclass(frozen=True)
 class MeasuredImpact:
-    """Mean |change| of a score by an effect, its 95 % interval, and the extra time of a rendering."""
+    """Measured impact of an effect. score_change: mean |change| of a score; low, high: its 95 % interval; milliseconds:
+    extra time of a rendering with the effect."""
 
     score_change: float
     low: float
@@ -114,8 +117,10 @@ class Choice:
 def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
     """Choose the effects of a scene, in the order of `NEEDS`. The list omits effects that the scene has no data for.
 
-    wanted: "auto", "none", or names; these are used even if the scene does not call for them. Raises InputError: an
-    unknown name, or one that the scene has no data for.
+    Args:
+        wanted: "auto", "none", or names. Named effects are used even if the scene does not call for them.
+
+    Raises InputError: an unknown name, or an effect that the scene has no data for.
     """
     if wanted == "auto":
         return _applicable(scene, detector)
@@ -127,7 +132,12 @@ def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFac
         if not NEEDS[name].present(scene):
             what = f"scene {scene.scene_id} has no data for {name}: {NEEDS[name].lacking}"
             raise InputError(what, "effects", NEEDS[name].remedy)
-    return [_choice(name, True, "asked for") for name in NEEDS if name in wanted]
+    impacts = measured_impact()
+    return [
+        Choice(name, True, "asked for", impacts[name].milliseconds if name in impacts else None)
+        for name in NEEDS
+        if name in wanted
+    ]
 
 
 def _applicable(scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
@@ -135,18 +145,16 @@ def _applicable(scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
     for name, need in NEEDS.items():
         if not need.present(scene) or (need.needs_reflectance_reader and not detector.reads_reflectance):
             continue
-        if reason := effect_named(name).applicability(scene, detector):
-            impact = measured_impact().get(name)
-            if left_out := impact is not None and not impact.matters:
-                moved = f"{impact.score_change:.3f} (at most {impact.high:.3f})"
-                reason = f"left out: {reason}, but it moves scores by {moved}"
-            choices.append(_choice(name, not left_out, reason))
+        reason = effect_named(name).applicability(scene, detector)
+        if reason is None:
+            continue
+        impact = measured_impact().get(name)
+        used = impact is None or impact.matters
+        if not used:
+            assert impact is not None
+            reason = f"left out: {reason}, but it moves scores by {impact.score_change:.3f} (at most {impact.high:.3f})"
+        choices.append(Choice(name, used, reason, None if impact is None else impact.milliseconds))
     return choices
-
-
-def _choice(name: str, used: bool, reason: str) -> Choice:
-    impact = measured_impact().get(name)
-    return Choice(name, used, reason, None if impact is None else impact.milliseconds)
 
 
 def effect_named(name: str) -> Effect:

@@ -35,9 +35,13 @@ Kind = Literal["cast", "footprint", "returns"]
 class EffectContext:
     """Data that stay constant over an attack.
 
-    scene: with the settings (weather, sensor) applied. beams: N rows as they are cast, see `Cast`, the scene's points
-    first. vehicle: frame and size of the object. seed: of all random draws. object_speed_m_s: along the heading.
-    heading_rad: of the object at its placement, counter-clockwise from the scene's +x.
+    Attributes:
+        scene: the scene with the settings (weather, sensor) applied.
+        beams: beams as they are cast, see `Cast`; N rows, the scene's points first.
+        vehicle: frame and size of the object.
+        seed: seed of all random draws.
+        object_speed_m_s: speed of the object along its heading.
+        heading_rad: heading of the object at its placement, counter-clockwise from the scene's +x.
     """
 
     scene: Scene
@@ -57,8 +61,11 @@ class EffectContext:
         return torch.cat((known, known.new_zeros(len(self.beams) - len(known))))
 
     def draws(self, effect: str, what: str = "") -> np.random.Generator:
-        """Return a fresh random generator for one effect. Draw one value for EVERY row of `beams`, then select: a beam
-        then gets the same draw whatever it meets, in any order of tasks."""
+        """Return a fresh random generator for one effect.
+
+        Draw one value for EVERY row of `beams`, then select. A beam then gets the same draw whatever the beam meets,
+        and the result depends neither on the order of tasks nor on the number of hits.
+        """
         return generator("effect", effect, what, self.seed)
 
 
@@ -66,10 +73,11 @@ class EffectContext:
 class Cast:
     """Beams as they are cast at the object.
 
-    beams: N rows. Rows beyond the scene's points are no-return beams; their points lie `NO_RETURN_M` away. shift_m:
-    (N, 3) float64 or None: displacement of the object at the beam's firing time, scene frame; beams are cast displaced
-    by -shift_m, hits are moved back by shift_m. no_return: (N,) bool or None: rows that have a return only if they meet
-    the object.
+    Attributes:
+        beams: N rows. Rows beyond the scene's points are no-return beams; their points lie `NO_RETURN_M` away.
+        shift_m: (N, 3) float64 or None: displacement of the object at the beam's firing time, scene frame. Beams are
+            cast displaced by -shift_m; hits are moved back by shift_m.
+        no_return: (N,) bool or None: rows that have a return only if they meet the object.
     """
 
     beams: Beams
@@ -127,8 +135,10 @@ class Returns:
 class Insertion:
     """Inserted object after its rendering.
 
-    beams, shift_m: see `Cast`. rendering: first hits of the beam axes. field: the object's, `settings.dtype`. theta:
-    (6,) pose at time 0 of the scene, scene frame. vehicle, settings: as in `render`. space: SDF grid of this field.
+    Attributes:
+        beams: the beams as cast. rendering: first hits of the beam axes. field: the object's field, `settings.dtype`.
+        theta: (6,) pose at time 0 of the scene, scene frame. vehicle, settings: as in `render`.
+        shift_m: see `Cast`. space: SDF grid of this field, or None.
     """
 
     beams: Beams
@@ -153,18 +163,19 @@ ReturnsStep = Callable[[Returns], Returns]
 class Effect(ABC):
     """One effect. The module of this package with the effect's name defines an instance ``EFFECT``.
 
-    reads_incidence: the step of `bind` reads `Returns.cosine`, which costs a gradient of the field at every hit.
+    kind: see the module. name: name in the settings. reads_incidence: the step of `bind` reads `Returns.cosine`, which
+    costs a gradient of the field at every hit.
     """
 
     name: str
-    kind: Kind = "returns"
+    kind: Kind
     reads_incidence: bool = False
 
     @abstractmethod
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Return a short reason, with figures, for using the effect; None if the scene does not call for it.
 
-        Called only if scene and detector have the data of `effects.applicability.NEEDS`.
+        Called only if scene and detector have the data that the effect needs (`effects.applicability.NEEDS`).
         """
 
     @abstractmethod
@@ -182,6 +193,7 @@ class Effect(ABC):
 class WeatherEffect(Effect):
     """Effect along the light path. It also changes the scene's own points if they were recorded in clear, dry air."""
 
+    kind: Kind = "returns"
     reads_incidence = True
 
     def on_scene(self, context: EffectContext) -> bool:
@@ -189,5 +201,5 @@ class WeatherEffect(Effect):
 
 
 def unchanged(returns: Returns) -> Returns:
-    """The step of an effect of zero strength."""
+    """Return the returns unchanged: the step of an effect of zero strength."""
     return returns

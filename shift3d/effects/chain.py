@@ -33,7 +33,10 @@ SCENE_ALBEDO = 0.3
 
 @dataclass
 class EffectChain:
-    """Effects of one task, bound to its scene, in their order. `EffectChain.render` takes the place of `render`."""
+    """Effects of one task, bound to its scene. `EffectChain.render` takes the place of `render`.
+
+    names: effects in their order. cast: beams as they are cast, the scene's points first.
+    """
 
     names: tuple[str, ...]
     context: EffectContext
@@ -52,7 +55,10 @@ class EffectChain:
         settings: EffectSettings,
         heading_rad: float = 0.0,
     ) -> EffectChain:
-        """Bind effects (names in `NEEDS`, any order) to a scene. heading_rad: of the object at its placement."""
+        """Bind effects (names in `NEEDS`, any order) to a scene. Not differentiable.
+
+        heading_rad: heading of the object at its placement, also its direction of travel.
+        """
         scene = with_settings(scene, settings)
         ordered = tuple(name for name in NEEDS if name in names)
         effects = [effect_named(name) for name in ordered]
@@ -143,11 +149,15 @@ class EffectChain:
         """Return the scene's own points as returns; no-return beams have no return."""
         beams, no_return = self.beams, self.cast.no_return
         count = len(beams)
-        row, none = torch.arange(count), torch.zeros(count, dtype=torch.bool)
+        none = torch.zeros(count, dtype=torch.bool)
         returned = beams.carries if no_return is None else beams.carries & ~no_return
-        reflectance, ones = self.context.reflectance, torch.ones(count, dtype=torch.float64)
-        albedo = SCENE_ALBEDO * ones if reflectance is None else reflectance
-        points = self._points_before_insertion().double()
+        reflectance = self.context.reflectance
+        albedo = torch.full((count,), SCENE_ALBEDO, dtype=torch.float64) if reflectance is None else reflectance
+        row, points, ones = (
+            torch.arange(count),
+            self._points_before_insertion().double(),
+            torch.ones(count, dtype=torch.float64),
+        )
         return Returns(row, points, self._origins(), beams.directions, none, returned, ones, albedo, reflectance)
 
     def _points_before_insertion(self) -> Tensor:

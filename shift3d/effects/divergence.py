@@ -40,14 +40,16 @@ class Divergence(Effect):
     In changed rows `cosine` is the mean weighted by power, and `albedo` contains the object's share of the cone. Their
     product is the light that the object sends back.
 
-    All other beams stay equal bit for bit. Not random. Differentiable w.r.t. pose and code through the ranges of the
-    sub-rays. The gradient ignores changes of power and the set of echoes. Source: shared physics, Beam divergence.
+    All other beams stay equal bit for bit; at zero divergence all beams do. Not random. Differentiable w.r.t. pose and
+    code through the ranges of the sub-rays. The gradient ignores changes of power and the set of echoes. Source: shared
+    physics, Beam divergence; the constants name their own sources.
     """
 
     name = "divergence"
     kind: Kind = "footprint"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
+        """Return a reason if the cone is wider than `LEAST_FOOTPRINT_M` at the farthest placement."""
         width = OBJECT_FAR_M * (scene.sensor.divergence_rad or 0.0)
         if not width > LEAST_FOOTPRINT_M:
             return None
@@ -74,7 +76,10 @@ def strongest(range_m: Tensor, power: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _ConeReturn:
-    """Returns (C,): whether they are the object's, the whole cone lies on one face, and their differentiable ranges."""
+    """Returns of C beams; all fields (C,).
+
+    object_wins: the return is the object's. whole: the whole cone lies on one face. range_m: differentiable.
+    """
 
     object_wins: Tensor
     whole: Tensor
@@ -84,7 +89,11 @@ class _ConeReturn:
 
     @staticmethod
     def of(range_m: Tensor, light: Tensor, cosine: Tensor, on_object: Tensor) -> _ConeReturn:
-        """Select the strongest group of merged echoes (C, 7) of axis and sub-rays. light: weight * albedo * cosine."""
+        """Select the strongest group of merged echoes. Without any power the return is not the object's.
+
+        Args, each (C, 7), for the axis and six sub-rays:
+            range_m: differentiable. light: weight * albedo * cosine. cosine: of incidence; 1 off the object.
+        """
         # At the sensor itself the receiver sees nothing, but 1 / range^2 has no bound.
         power = light / range_m.detach().clamp_min(OVERLAP_FROM_M).square()
         kept = strongest(range_m.detach(), power)
@@ -171,7 +180,10 @@ class _Footprint:
 
 
 def _cast(starts: Tensor, around: Tensor, ends: Tensor, insertion: Insertion) -> tuple[Tensor, Tensor]:
-    """Cast sub-rays (C, 6, 3): differentiable ranges, up to `ends`, and the mask of hits on the object, (C, 6) each."""
+    """Cast sub-rays `around` (C, 6, 3) from `starts` (C, 3) with end ranges `ends` (C,).
+
+    Returns ranges and the mask of hits on the object, (C, 6) each. The ranges are differentiable w.r.t. pose and code.
+    """
     count = len(ends)
     origins, directions, ranges = starts.repeat_interleave(6, 0), around.reshape(-1, 3), ends.repeat_interleave(6)
     carries = torch.ones(6 * count, dtype=torch.bool)

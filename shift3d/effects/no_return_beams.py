@@ -28,7 +28,7 @@ class NoReturnCast(Effect):
     kind: Kind = "cast"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
-        # In every case: the facts do not contain the directions of the beams.
+        """Return a reason in every case: the facts do not contain the directions of the beams."""
         return f"{scene.no_return_beams} beams without a return may meet the object"
 
     def bind(self, context: EffectContext) -> CastStep:
@@ -40,7 +40,7 @@ class NoReturnCast(Effect):
 
 
 def _with_rows(cast: Cast, no_return: NoReturnBeams, own: Tensor) -> Cast:
-    """Append the no-return rows. own (N, 3): true origins of the points' beams."""
+    """Append the no-return rows to the cast. own (N, 3): true origins of the points' beams."""
     beams, count = cast.beams, len(no_return)
     directions = torch.from_numpy(no_return.directions.copy()).double()
     directions = directions / directions.norm(dim=-1, keepdim=True)

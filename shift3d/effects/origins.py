@@ -13,15 +13,15 @@ class Origins(Effect):
     """Start of every beam at the position of its own sensor, or of its own pixel's pose: `Scene.origins`, row by row.
 
     Without this effect all beams start at the scene's origin, as from one sensor (`Beams.of_main_sensor`). The returns
-    and their order stay the same. If all beams share one origin already, nothing changes, bit for bit. Source: design
-    section 6.
+    and their order stay the same. If all beams share one origin already, nothing changes, bit for bit. Constant:
+    gradients are those of the first hits of the cast beams. Source: design section 6.
     """
 
     name = "origins"
     kind: Kind = "cast"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
-        # At any distance between the origins: the facts do not contain it.
+        """Return a reason at any distance between the origins: the facts do not contain the distance."""
         return "its beams start in more than 1 place"
 
     def bind(self, context: EffectContext) -> CastStep:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import Effect, EffectContext, Returns, ReturnsStep, unchanged
+from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 LEAST_NOISE_M = 2e-6
@@ -20,19 +20,24 @@ class RangeNoise(Effect):
     point that the noise would move behind its sensor has no return: no sensor reports a negative range.
     Leaves unchanged: beam directions, reflectance, and the scene's own noisy points.
 
-    Differentiable: a noisy point has the derivatives of the exact point. Source: our choice: one sigma a sensor, for
-    all ranges and powers (sigma by signal-to-noise ratio needs a noise floor, which no recording states).
+    Differentiable: the noise is constant along the beam; a noisy point has the derivatives of the exact point.
+
+    Source: our choice: one sigma a sensor, for all ranges and powers (sigma by signal-to-noise ratio needs a noise
+    floor, which no recording states).
     """
 
     name = "range_noise"
+    kind: Kind = "returns"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
+        """Return a reason if the sensor states a noise that float32 can hold."""
         sigma_m = scene.sensor.range_noise_m
         if sigma_m is None or not sigma_m >= LEAST_NOISE_M:
             return None
         return f"ranges of this sensor scatter by {_length(sigma_m)}; inserted points would not at all"
 
     def bind(self, context: EffectContext) -> ReturnsStep:
+        """Draw one value for every row of the beams."""
         sensor = context.scene.sensor
         sigma_m = 0.0 if sensor is None else sensor.range_noise_m or 0.0
         if sigma_m == 0.0:

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from shift3d.effects.base import Effect, EffectContext, Returns, ReturnsStep, unchanged
+from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
 from shift3d.effects.physics.power import OBJECT_FAR_M, detection_draws, detection_probability, echo_power, least_power
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
@@ -22,8 +22,12 @@ LEAST_LOSS = 0.01
 class RayDrop(Effect):
     """Loss of weak echoes: an echo of the object stays with the `power.detection_probability` of its power.
 
-    The power is that of clear air (`power.echo_power`): this effect does NOT apply the extinction of fog, rain and
-    snow. The weather effects have decided on it before, with the same draws (`power.detection_draws`).
+    power = albedo cos(incidence) / range^2 (`power.echo_power`), least power = 0.9 / limit_range_m^2. A row is kept if
+    its uniform draw lies below the probability; for power_spread 0, if the power suffices.
+
+    The power is that of clear air: this effect does NOT apply the extinction of fog, rain and snow. The weather effects
+    have decided on it before, with the same draws (`power.detection_draws`). Both tests together therefore lose the
+    same echoes as one test with the weaker of both powers.
 
     Leaves unchanged: points, reflectance, rows off the object or without a return. An infinite limit loses nothing.
 
@@ -33,9 +37,11 @@ class RayDrop(Effect):
     """
 
     name = "ray_drop"
+    kind: Kind = "returns"
     reads_incidence = True
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
+        """Return a reason if this sensor loses echoes of the darkest material far away at a steep angle."""
         limit_m = scene.sensor.limit_range_m
         if limit_m is None or not _has_limit(scene.sensor):
             return None
@@ -51,6 +57,7 @@ class RayDrop(Effect):
         )
 
     def bind(self, context: EffectContext) -> ReturnsStep:
+        """Draw one uniform value for every row of the beams."""
         sensor = context.scene.sensor
         if sensor is None or not _has_limit(sensor):
             return unchanged

@@ -36,7 +36,10 @@ class RollingShutter(Effect):
     kind: Kind = "cast"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        # The facts do not contain the heading: the sum of both speeds bounds the displacement from above.
+        """Return a reason if the displacement over a scan exceeds the range noise.
+
+        The facts do not contain the heading: the sum of both speeds gives an upper bound of the displacement.
+        """
         speed = abs(scene.object_speed_m_s) + float(np.linalg.norm(_apparent(scene.conditions)))
         moved, noise = speed * scene.scan_s, scene.sensor.range_noise_m or ASSUMED_NOISE_M
         if not moved > noise:

@@ -14,7 +14,10 @@ CORNER_SIGNS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
 
 
 def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
-    """Refuse boxes (N, 7) that are not finite or have no volume. Raises InputError: naming the first row and column."""
+    """Refuse boxes (N, 7) that are not finite or have no volume. where: source of the boxes, for the error.
+
+    Raises InputError: naming the first offending row and column.
+    """
     if boxes.ndim != 2 or boxes.shape[1] != 7:
         raise InputError(f"boxes must be (N, 7), not {boxes.shape}", where, "Give x, y, z, dx, dy, dz, heading.")
     names = ("x", "y", "z", "dx", "dy", "dz", "heading")
@@ -46,9 +49,14 @@ def corners_3d(boxes: NDArray[np.floating]) -> Float:
 def points_in_boxes(
     points: NDArray[np.floating], boxes: NDArray[np.floating], margin_m: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Find which points (N, 3) lie inside which boxes (M, 7): (M, N) bool; points on a face are inside.
+    """Find which points lie inside which boxes.
 
-    margin_m: distance by which each face is moved outwards.
+    Args:
+        points: (N, 3) in the frame of the boxes.
+        boxes: (M, 7).
+        margin_m: distance by which each face is moved outwards.
+
+    Returns: (M, N) bool; points on a face are inside.
     """
     points = np.asarray(points)
     inside = np.zeros((len(boxes), len(points)), dtype=np.bool_)

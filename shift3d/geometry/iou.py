@@ -69,7 +69,10 @@ def _as_boxes(boxes: NDArray[np.floating]) -> Float:
 
 
 def iou_bev(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
-    """Compute the rotated intersection over union of footprints of boxes (N, 7) and (M, 7).
+    """Compute the rotated intersection over union of footprints.
+
+    Args:
+        a: (N, 7) boxes; b: (M, 7) boxes, same frame.
 
     Returns: (N, M) float64 in [0, 1]. Boxes without area overlap nothing (0, never NaN).
     """

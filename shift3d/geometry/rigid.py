@@ -53,7 +53,10 @@ def rotation_of_angles(roll: NDArray[np.floating], pitch: NDArray[np.floating], 
 
 
 def validate_rigid(dst_SE3_src: Float, where: str) -> None:
-    """Refuse a matrix that is not a rotation with a translation. Raises InputError: also for NaN and mirror images."""
+    """Refuse a matrix that is not a rotation with a translation.
+
+    Raises InputError: NaN, a mirror image, or axes that are not at right angles and of length 1.
+    """
     rotation = dst_SE3_src[:3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         askew = np.abs(rotation @ rotation.T - np.eye(3)).max()

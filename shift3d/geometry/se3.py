@@ -16,9 +16,15 @@ from torch import Tensor
 
 
 def scene_R_object(pose: Tensor) -> Tensor:
-    """Compute the rotation (3, 3) of a pose (6,), metres and radians, that turns object axes into scene axes.
+    """Compute the rotation that turns object axes into scene axes.
 
-    Differentiable w.r.t. ``pose``. Source: SHIFT3D supplement, Pose Transformation; sense of the angles: our choice.
+    Args:
+        pose: (6,) x, y, z in metres, yaw, pitch, roll in radians.
+
+    Returns: (3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), dtype of ``pose``.
+
+    Differentiable w.r.t. ``pose``; independent of its translation. Source: SHIFT3D supplement, Pose Transformation;
+    sense of the angles: our choice, see the module.
     """
     cy, cp, cr = torch.cos(pose[3:]).unbind()
     sy, sp, sr = torch.sin(pose[3:]).unbind()

@@ -48,8 +48,11 @@ PAPER_CONSTRAINTS = Constraints()
 
 @dataclass(frozen=True)
 class ConstraintCheck:
-    """Result of the constraint check of one object. deepest_m: smallest metric distance of an original point (negative
-    inside), nearest_m: smallest |metric distance| of a point under the object; infinite if no point is near."""
+    """Result of the constraint check of one object.
+
+    deepest_m: smallest metric distance of an original point (negative inside); infinite if no point is near.
+    nearest_m: smallest |metric distance| of a point under the object; infinite if no point is near.
+    """
 
     deepest_m: float
     nearest_m: float
@@ -61,6 +64,7 @@ class ConstraintCheck:
 
     @property
     def valid(self) -> bool:
+        """True if all constraints hold."""
         return self.overlap_ok and self.contact_ok and self.points_ok and self.clear_ok
 
 
@@ -74,10 +78,13 @@ def points_near(beams: Beams, theta: Tensor, radius_m: float) -> Tensor:
 def object_points_near(
     points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3, box: Box | None = None
 ) -> Tensor:
-    """Return the points (M, 3) float64 near the object, converted from the scene to the object frame, (M', 3).
+    """Return the points near the object, converted to the object frame, (M', 3).
 
-    size_m: (3,) size of the baseline's box. reach_m: largest distance of a point from this box, per axis. box: bounding
-    box of the object, if known: points near it count too, because a shape under attack may outgrow its baseline's box.
+    Args:
+        points: (M, 3) float64, scene frame. theta: (6,) pose.
+        size_m: (3,) size of the baseline's box. reach_m: largest distance of a point from this box, per axis.
+        box: bounding box of the object, if known: points near it are returned too, because a shape under attack may
+            outgrow its baseline's box.
     """
     x_object = object_from_scene(points, theta.detach().double())
     near = (x_object.abs() <= size_m / 2 + reach_m).all(-1)
@@ -99,8 +106,11 @@ def check(
 ) -> ConstraintCheck:
     """Check one object against the limits.
 
-    field: metric distance in the object frame. points: ORIGINAL returns near the object. theta, size_m, box: see
-    `object_points_near`. object_points: number of returns on the object after rendering. others: see `is_clear`.
+    Args:
+        field: metric distance in the object frame. points: ORIGINAL returns near the object.
+        theta, size_m, box: see `object_points_near`.
+        object_points: number of returns on the object after rendering.
+        others: (M, 2) centres of other vehicles, scene frame, metres.
 
     Only points under the object (below its centre, within its baseline's length and width) count as contact, because a
     wall or kerb beside the object does not support it.

@@ -64,10 +64,10 @@ def ground_under(
 ) -> GroundPlane | None:
     """Fit the ground by `fit_ground`, and if it fails (long slopes, roofs, sparse scan lines) by RANSAC.
 
-    RANSAC takes the plane through three returns that has the most returns, with a slope of at most 1.5 `MAX_SLOPE`,
-    which the caller may refuse; the number of returns seeds the triples. The search radius grows up to 2.5 times;
-    enough returns within radius_m must be on the plane. For both methods at most a tenth of the returns may be more
-    than 15 cm below the plane, since a roof has ground below.
+    RANSAC takes the plane through three returns that has the most returns, with a slope of at most 1.5 `MAX_SLOPE`; the
+    number of returns seeds the triples. The search radius grows up to 2.5 times; enough returns within radius_m must be
+    on the plane. The result may be steeper than `MAX_SLOPE`: the caller reports that. For both methods at most a tenth
+    of the returns may be more than 15 cm below the plane, since a roof has ground below.
 
     thorough: False skips RANSAC. Other arguments and source: see `fit_ground`. RANSAC: Fischler and Bolles 1981.
     """
@@ -98,7 +98,12 @@ def fit_ground(
     It refits to returns in a narrower band each time, which excludes walls and poles. It returns None for returns along
     a single scan line, which do not determine the slope across the line, and for a slope above `MAX_SLOPE`.
 
-    points: (N, 3) returns, scene frame. nominal_z_m: height of the ground around the sensor. Source: our choice.
+    Args:
+        points: (N, 3) returns, scene frame.
+        centre_xy: position, scene frame, metres.
+        nominal_z_m: height of the ground around the sensor.
+
+    Source: our choice: the paper is silent.
     """
     offset = points[:, :2] - np.asarray(centre_xy)
     near = np.einsum("ij,ij->i", offset, offset) <= radius_m**2

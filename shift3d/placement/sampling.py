@@ -52,7 +52,10 @@ beams that are not occluded are counted; `survey` tells the two apart."""
 
 @dataclass(frozen=True)
 class PlacementLimits:
-    """Horizontal distance from the sensor, (centre, half width) azimuth in radians, and number of positions to try.
+    """Region and number of attempts of the sampling.
+
+    min_range_m, max_range_m: horizontal distance from the sensor. sector: (centre, half width) azimuth in radians.
+    attempts: largest number of positions to try.
 
     Source: SHIFT3D, Setup: between 15 and 50 m, heading uniform. The scene set defines the sector.
     """
@@ -96,8 +99,9 @@ def format_refusals(rejected: Mapping[str, int]) -> str:
 class PlacementContext:
     """Scene data for the tests of a position.
 
-    others: (M, 2) centres of the scene's vehicles. ground_map: its heights replace ground_z_m, and it must allow the
-    corners of the footprint. unlabelled: (Z, 2) returns in regions where the data set labels no vehicles.
+    beams: of the scene. others: (M, 2) centres of the scene's vehicles, which the object must not come near.
+    ground_map: its heights replace ground_z_m, and it must allow the corners of the footprint. unlabelled: (Z, 2)
+    returns in regions where the data set labels no vehicles.
     """
 
     beams: Beams
@@ -108,6 +112,7 @@ class PlacementContext:
 
     @functools.cached_property
     def returns(self) -> np.ndarray:
+        """Returns of the beams, (N, 3) float64."""
         return self.beams.points[self.beams.carries].double().numpy()
 
     def is_labelled(self, xy: tuple[float, float], clear_m: float) -> bool:
@@ -121,6 +126,7 @@ class PlacementContext:
         return 2 * within <= of
 
     def ground_at(self, x_m: float, y_m: float) -> float:
+        """Return the nominal height of the ground, metres."""
         known = None if self.ground_map is None else self.ground_map.height_at(x_m, y_m)
         return self.ground_z_m if known is None else known
 
@@ -149,8 +155,10 @@ def place(
     interval beyond min_range_m is halved, because far positions may never get enough points (with 64 beams no object
     gets 300 returns at 35 m).
 
-    If all attempts fail, positions without ground are tried again with a thorough ground search. Deterministic for a
-    given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
+    If all attempts fail, positions without ground are tried again with a thorough ground search. This second pass does
+    not change the result of scenes with a valid pose in the first pass.
+
+    Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
     # Placement needs only the hit mask, so a vehicle too large for the tolerance is rendered to the dtype's limit.
     reachable = settings.reachable_residual_m(float(vehicle.scale_m))

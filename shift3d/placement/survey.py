@@ -27,6 +27,7 @@ class Survey:
 
     @property
     def free(self) -> NDArray[np.bool_]:
+        """Mask (N,) of positions where a vehicle could be placed."""
         return np.array([outcome == FREE for outcome in self.outcomes])
 
     @property
@@ -44,8 +45,8 @@ class Survey:
 def survey(site: PlacementContext, limits: PlacementLimits, constraints: Constraints) -> Survey:
     """Test `limits.attempts` positions with the tests of `sampling.place` that need no rendering.
 
-    `place` may still reject a free position for a shape that touches nothing, overlaps something, or gets fewer points
-    than there are beams through its box. Deterministic. Source: our choice.
+    `place` may still reject a free position for a shape: the shape may touch nothing, overlap something, or get fewer
+    points than there are beams through its box. Deterministic. Source: our choice.
     """
     size, whole = torch.tensor(CAR_SIZE_M, dtype=torch.float64), replace(limits, attempts=1)
     rng, places, outcomes = np.random.default_rng(0), [], []

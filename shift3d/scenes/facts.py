@@ -14,10 +14,15 @@ from shift3d.scenes.sensor import SensorModel
 
 @dataclass(frozen=True)
 class EffectSettings:
-    """Settings that replace or complete what scenes state, see `Conditions` and `SensorModel`; None: no change.
+    """Settings that replace or complete what scenes state; None: no change.
 
-    The effects apply this weather to the whole scene, whose points do not contain it yet. object_speed_m_s: of the
-    inserted object along its heading.
+    Attributes:
+        visibility_m: meteorological optical range of fog. rain_mm_h, snow_mm_h: rates of rain and snow. The effects
+            apply this weather to the whole scene, whose points do not contain it yet.
+        range_noise_m, divergence_rad, limit_range_m, power_spread: of the sensor, see `SensorModel`.
+        object_speed_m_s: speed of the inserted object along its heading.
+
+    Source: our choice.
     """
 
     visibility_m: float | None = None
@@ -31,8 +36,14 @@ class EffectSettings:
 
     def __post_init__(self) -> None:
         """Refuse values that no scene can have. Raises InputError: naming the setting and the remedy."""
-        if not abs(speed := self.object_speed_m_s or 0.0) <= FASTEST_M_S:
-            raise InputError(f"object_speed_m_s is {speed}", "effects", f"Give {-FASTEST_M_S:g} to {FASTEST_M_S:g}")
+        for name, value in self.overrides().items():
+            strictly = name in _POSITIVE
+            if name == "object_speed_m_s":
+                if not abs(value) <= FASTEST_M_S:
+                    raise InputError(f"{name} is {value}", "effects", f"Give {-FASTEST_M_S:g} to {FASTEST_M_S:g}")
+            elif not np.isfinite(value) or value < 0.0 or (strictly and value == 0.0):
+                remedy = "Give a positive number" if strictly else "Give a finite number of at least 0"
+                raise InputError(f"{name} is {value}", "effects", remedy)
         # A scene has these bounds too; after the settings are applied it is not validated a second time.
         _sensor(SensorModel(), self.overrides()).validate("effects")
         _weather(Conditions(weather_in_points=False), self.overrides(), "").validate("effects")
@@ -42,6 +53,7 @@ class EffectSettings:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
+_POSITIVE = ("visibility_m", "range_noise_m", "divergence_rad", "limit_range_m")
 _SENSOR = {part.name for part in fields(SensorModel)}
 
 
@@ -60,8 +72,8 @@ def _sensor(sensor: SensorModel, overrides: dict[str, float]) -> SensorModel:
 
 
 def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) -> Conditions:
-    # A recording with weather in its points accepts only that weather's rate. Other scenes get the weather with a rate
-    # above 0, else their own, or dry if that rate is set to 0.
+    """Apply weather settings. A recording with weather in its points accepts only that weather's rate and keeps it in
+    the points. Other scenes get the weather with a rate above 0, else their own, or dry if that rate is set to 0."""
     about: dict[str, Any] = {name: overrides[name] for name in _WEATHER.values() if name in overrides}
     if not about:
         return conditions
@@ -93,10 +105,16 @@ class DetectorFacts:
 class SceneFacts:
     """Facts of a scene without its points.
 
-    origins: number of different beam origins (2 stands for any larger number). returns: largest number of returns of a
-    beam; 1 if the scene does not number them. no_return_beams: number that the scene knows. has_pixels: the points have
-    range image indices. scan_s: time from the first to the last firing; 0 if times are unknown. ground_in_view: at
-    least one point in fifty lies near the nominal ground.
+    Attributes:
+        scene_id: name of the scene.
+        origins: number of different beam origins (2 stands for any larger number).
+        returns: largest number of returns of a beam; 1 if the scene does not number them.
+        no_return_beams: number of no-return beams that the scene knows.
+        has_reflectance, has_pixels: the points have reflectance, range image indices.
+        scan_s: time from the first to the last firing; 0 if times are unknown.
+        ground_in_view: at least one point in fifty lies near the nominal ground.
+        sensor, conditions: as the scene states them.
+        object_speed_m_s: speed of the inserted object along its heading.
     """
 
     scene_id: str

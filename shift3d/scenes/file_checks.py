@@ -24,7 +24,10 @@ FARTHEST_M = 1e4
 
 
 def read_bytes(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> bytes:
-    """Read a file. kind, remedy: for errors; advice if it is missing. Raises InputError: missing, or not readable."""
+    """Read a file. kind: name of the file's kind, for errors. remedy: advice if the file is missing.
+
+    Raises InputError: it is missing, or cannot be read.
+    """
     try:
         return file.read_bytes()
     except FileNotFoundError as error:
@@ -43,8 +46,11 @@ def read_lines(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> list
 
 @contextlib.contextmanager
 def opened(file: Location, kind: str, *bad: type[Exception]) -> Iterator[Any]:
-    """Open a binary file. Raises InputError: it is missing, cannot be read, or an exception that means damage (`bad`,
-    OSError, UnicodeDecodeError) is raised while it is open."""
+    """Open a binary file. kind: name of the file's kind, for errors. bad: exceptions that mean damage, beside OSError
+    and UnicodeDecodeError.
+
+    Raises InputError: it is missing, cannot be read, or one of these exceptions is raised while it is open.
+    """
     damaged: tuple[type[Exception], ...] = (OSError, UnicodeDecodeError, *bad)
     try:
         with contextlib.closing(file.open()) as handle:
@@ -70,7 +76,10 @@ def read_array(file: Location) -> NDArray[Any]:
 
 
 def read_records(file: Location, kind: str, columns: int) -> NDArray[np.float32]:
-    """Read rows (N, columns) of little-endian float32. Raises InputError: as `read_bytes`; empty, or a row is cut."""
+    """Read rows (N, columns) of a file of little-endian float32, N at least 1.
+
+    Raises InputError: as `read_bytes`; also if the file is empty or its last row is cut short.
+    """
     raw, size = read_bytes(file, kind), 4 * columns
     if not raw or len(raw) % size:
         what = f"{counted(len(raw), 'byte')} is not a whole number of {size}-byte points"

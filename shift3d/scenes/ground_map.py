@@ -20,9 +20,11 @@ _LOWEST_M, _HIGHEST_M = -4.0, -0.4  # between a truck's roof and a small robot's
 def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
     """Estimate the height of the ground, metres, scene frame, rounded to 1 cm.
 
-    Finds the fullest 5 cm layer between 4 and 12 m from the sensor within 0.35 m of the nominal height, minus the
-    sensor's height. Returns the median of the points (N, 3), origin at the sensor, within 15 cm of that layer, or the
-    nominal height below 500 points. Source: our choice.
+    Finds the fullest 5 cm layer between 4 and 12 m from the sensor within 0.35 m of the nominal height. Returns the
+    median of the points within 15 cm of that layer, or the nominal height below 500 points. Source: our choice.
+
+    Args:
+        points: (N, 3) scene frame, origin at the sensor. nominal_z_m: minus the sensor's height above the ground.
     """
     distance = np.hypot(points[:, 0], points[:, 1])
     z = points[(distance > _NEAR_M) & (distance < _FAR_M), 2].astype(np.float64)
@@ -36,8 +38,11 @@ def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
 
 
 def search_ground_z(points: NDArray[np.float32]) -> float | None:
-    """Run `estimate_ground_z` around the fullest layer of 0.2 m between 4 and 12 m from the sensor, 0.4 to 4 m below
-    it. Returns None if too few points lie there. Source: our choice."""
+    """Run `estimate_ground_z` without a known sensor height. Returns None if too few points lie below the sensor.
+
+    The nominal height is that of the fullest layer of 0.2 m between 4 and 12 m from the sensor, 0.4 to 4 m below it.
+    points: (N, 3) scene frame, origin at the sensor. Source: our choice.
+    """
     distance = np.hypot(points[:, 0], points[:, 1])
     z = points[(distance > _NEAR_M) & (distance < _FAR_M), 2]
     counts, edges = np.histogram(z, bins=np.arange(_LOWEST_M, _HIGHEST_M + 0.1, 0.2))

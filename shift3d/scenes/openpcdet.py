@@ -62,11 +62,14 @@ class OpenPcdetScenes(RecordedScenes):
     """Frames under a folder or bucket with points/NAME.npy, labels/NAME.txt and ImageSets/SPLIT.txt.
 
     Args:
+        root: holds points/, and optionally labels/ and ImageSets/.
         names: frames to use; None: those of the split, or every file in points/, in order.
+        count: maximum number of frames.
         split: the file in ImageSets/ that lists frames; None: every file in points/.
         sensor_m: position of the LiDAR in the frame of the points and labels, metres; axes are x forward, y left, z up.
         ground_z_m: height of the ground in that frame; None: estimated for each frame.
-        reflectance_max: full reflectance in the fourth column; None: see `full_reflectance`.
+        reflectance_max: full reflectance in the fourth column; None: 1, or 255 if the column has such whole numbers.
+        list_unreadable: also list frames of the split whose point file is missing; loading one raises InputError.
 
     A scene's origin is the LiDAR: points and boxes are moved there. A frame's points are rows of x, y, z and, from four
     columns on, reflectance. A label is ``x y z dx dy dz heading class``: box centre, heading counter-clockwise from +x.

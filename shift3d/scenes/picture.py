@@ -26,7 +26,11 @@ _EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4)
 def draw_bev(axes: Axes, scene: Scene, free_m: NDArray[np.float64] | None = None) -> PathCollection:
     """Draw points from above, coloured by height above ground, x up the page, y to the left; labels with a nose.
 
-    free_m: (N, 2) free placements to mark. Returns the points, for a colour bar.
+    Args:
+        axes: matplotlib axes.
+        free_m: (N, 2) free placements to mark.
+
+    Returns: the points, for a colour bar.
     """
     points = scene.points[(np.abs(scene.points[:, :2]) < _REACH_M).all(axis=1)]
     height = points[:, 2] - scene.ground_z_m

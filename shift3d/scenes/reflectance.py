@@ -27,8 +27,11 @@ def full_reflectance(
     whole, one value beyond 1 is enough, as in a dark frame. Raw intensities cannot be recognised: the largest value
     differs from scene to scene and is never used.
 
-    Raises InputError, naming file and row: a maximum out of range; more than `STRAY_SHARE` of the values (N,) off the
-    scale. Source: our choice; mixed scales turned whole frames into fog in a public simulator.
+    Args:
+        values: (N,) of one file, finite. where: the file, for errors. remedy: advice if no scale fits.
+
+    Raises InputError, naming file and row: a maximum out of range; more than `STRAY_SHARE` of the values off the scale.
+    Source: our choice; mixed scales turned whole frames into fog in a public simulator.
     """
     if stated is not None:
         if not 0.0 < stated <= MOST_RAW:

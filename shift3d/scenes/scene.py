@@ -28,7 +28,7 @@ class Labels:
     """Labelled objects of one scene.
 
     Attributes:
-        boxes: (M, 7) float64, scene frame, see `geometry.boxes`.
+        boxes: (M, 7) float64, scene frame: x, y, z of the centre, dx, dy, dz (metres), heading from +x (radians).
         classes: M class names of shift3d: "vehicle", "pedestrian", "cyclist", "other".
         num_points: (M,) int32, points of the scene inside each box.
         names: M class names of the data set ("Car", "Van", ...); empty if it has none.
@@ -50,7 +50,10 @@ class Labels:
         return np.array([label == name for label in self.classes], dtype=np.bool_)
 
     def validate(self, where: str) -> None:
-        """Refuse labels that do not fit together. Raises InputError: naming scene, field, row and remedy."""
+        """Refuse labels that do not fit together. where: the scene, for the error.
+
+        Raises InputError: naming the field, the row and the remedy.
+        """
         validate_boxes(self.boxes, f"{where}, labels.boxes")
         count = len(self.boxes)
         for name, one in (("classes", "class"), ("names", "name"), ("kinds", "kind")):
@@ -73,6 +76,7 @@ class Conditions:
 
     Attributes:
         weather: one of :data:`WEATHERS`.
+        rain_mm_h: rain rate; 0 without rain.
         snow_mm_h: rate of snowfall as melted water; 0 without snow.
         visibility_m: meteorological optical range; infinite in clear air.
         ego_velocity_m_s: (vx, vy, vz) of the sensor in the scene frame; None if unknown.
@@ -111,6 +115,8 @@ class Scene:
     """One sweep in the `scene` frame: origin at the main LiDAR, x forward, y left, z up, metres.
 
     Attributes:
+        scene_id: unique name within its data set.
+        dataset: "kitti", "street-hdl64", "street-waymo_top", ...
         points: (N, 3) float32. A point at its own origin (zero range) carries no beam: see :attr:`has_beam`.
         origins: (N, 3) float32, start of each point's beam at its sensor; may be a view of one row.
         ground_z_m: nominal height of the ground around the sensor (-1.73 for KITTI).
@@ -151,7 +157,12 @@ class Scene:
         return mask
 
     def validate(self) -> None:
-        """Refuse a scene that cannot be rendered into. Raises InputError: naming scene, field, row and remedy."""
+        """Refuse a scene that cannot be rendered into.
+
+        Checks shapes, dtypes and finite values of all fields, origins within 10 km, at least one point with a beam,
+        labels and conditions.
+        Raises InputError: naming scene, field, row and remedy.
+        """
         where = f"scene {self.scene_id}"
         if not self.scene_id or not self.dataset:
             raise InputError("empty scene_id or dataset", where, "Name both.")
@@ -182,7 +193,10 @@ class Scene:
                 part.validate(where)
 
     def content_hash(self) -> str:
-        """Compute the BLAKE2b-128 hex digest of the whole record; equal content gives equal digests on any machine."""
+        """Compute the BLAKE2b-128 hex digest of the whole record; equal content gives equal digests on any machine.
+
+        Arrays enter as little-endian bytes with name, dtype and shape; a broadcast view and its copy agree.
+        """
         digest = hashlib.blake2b(digest_size=16)
         header = {
             "scene_id": self.scene_id,

@@ -48,8 +48,13 @@ class SensorModel:
 
 @dataclass(frozen=True)
 class NoReturnBeams:
-    """Beams (M) of a range image without a return, scene frame; origins may be a view of one row. time_s: firing times
-    like those of the scene's points."""
+    """Beams of a range image without a return.
+
+    Attributes:
+        origins: (M, 3) float32, scene frame, metres; may be a view of one row.
+        directions: (M, 3) float32 unit vectors.
+        time_s: (M,) float32, firing times like those of the scene's points, or None.
+    """
 
     origins: NDArray[np.float32]
     directions: NDArray[np.float32]

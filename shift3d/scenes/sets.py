@@ -34,8 +34,9 @@ _BY_DRIVE = ("waymo", "argoverse2")
 def independent_group_of(dataset: str, scene: str) -> str:
     """Return the place of a scene, "DATASET/PLACE". Scenes of one place are not independent draws.
 
-    All scenes of one street share a place, in any set and with any options. So do all frames of one segment (Waymo) or
-    log (Argoverse 2). Names of other recordings do not tell the drive: each scene is its own place.
+    All scenes of one street share a place, in any set (such as one of mixed sensors) and with any options (such as
+    other beams or weather). So do all frames of one segment (Waymo) or log (Argoverse 2). Scene names of other
+    recordings do not tell the drive, so that each scene is its own place.
     """
     if found := _STREET.fullmatch(scene):
         return f"street-{found[2]}/{found[1]}{found[3] or ''}"
@@ -93,6 +94,10 @@ class RecordedScenes(SceneSet):
         self._found_in = self.root
 
     def names(self) -> list[str]:
+        """List the names of the scenes.
+
+        Raises InputError: damaged files of the list, an unknown name, or no scenes.
+        """
         return list(self._listed)
 
     @functools.cached_property
@@ -121,6 +126,7 @@ class RecordedScenes(SceneSet):
             )
 
     def load(self, name: str) -> Scene:
+        """Load one scene. Raises InputError: naming the file, the line, row or key in it, and the remedy."""
         scene = self._read(name)
         scene.validate()
         return scene
@@ -130,6 +136,7 @@ class RecordedScenes(SceneSet):
         """Load one scene without validation."""
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """Return the settings of a scene, and path and version of each of its files; see `SceneSet`."""
         settings, files = self._settings_and_files(name)
         return (self.dataset, name, *settings, *(f"{file.absolute()}: {file.version()}" for file in files))
 
@@ -148,8 +155,11 @@ class StreetScenes(SceneSet):
 
     Args:
         sensor: "hdl64", "waymo_top", or "mixed" (even indices hdl64, odd ones waymo_top).
+        seed: another seed gives other scenes.
         count: number of names in the set, from index ``start`` on.
         split: "train", "val" or "test": disjoint layouts and vehicles.
+        start: first index.
+        options: optional properties of the scenes; off by default.
 
     Raises InputError: an unknown sensor or split, a count below 1, or held-out traffic on split train.
     """
@@ -175,6 +185,7 @@ class StreetScenes(SceneSet):
 
     @property
     def dataset(self) -> str:
+        """Name "street-", the sensor, and the tag of the options that are on."""
         return f"street-{self.sensor}{self.options.tag}"
 
     def names(self) -> list[str]:
@@ -214,6 +225,7 @@ class StreetScenes(SceneSet):
         return f"street-{sensor}{self.options.tag}", street_facts(name, sensor, self.options)
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """Return the name, which determines the scene; see `SceneSet`."""
         return ("street", name)
 
     def _name(self, index: int) -> str:

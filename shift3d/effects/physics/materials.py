@@ -39,12 +39,16 @@ TYRE_WIDTH_M = 0.3
 
 
 def albedo_of(points: Tensor, theta: Tensor, vehicle: VehicleFrame) -> Tensor:
-    """Compute the albedo of points (M, 3) on the vehicle, scene frame, metres, at a pose (6,).
+    """Compute the albedo of points on the vehicle.
 
-    vehicle: gives the box `size_m`. Materials keep their places on the vehicle if an attack changes its shape.
+    Args:
+        points: (M, 3) float, on the vehicle, scene frame, metres.
+        theta: (6,) pose of the vehicle, scene frame.
+        vehicle: gives the box `size_m`. Materials keep their places on the vehicle if an attack changes its shape.
 
-    Returns: (M,) float64 in [`DARKEST_ALBEDO`, `PAINT_ALBEDO`]. Not finite if the point or the pose is not. Not
-    differentiable. Source: our choice.
+    Returns: (M,) float64 in [`DARKEST_ALBEDO`, `PAINT_ALBEDO`]. Not finite if the point or the pose is not.
+
+    Not differentiable. Source: our choice.
     """
     length, width, height = (float(side) for side in vehicle.size_m)
     x, y, z = object_from_scene(points.detach().double(), theta.detach().double()).unbind(-1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,28 +18,34 @@ _NO_NUMBER = 256
 
 @dataclass(frozen=True)
 class BeamReturns:
-    """Returns paired by beam: (N,) int64 `beam_numbers`, and return numbers, 0 for the first return of a beam."""
+    """Returns paired by beam.
+
+    beam: (N,) int64, see `beam_numbers`. number: (N,) int64, return number, 0 for the first return of a beam.
+    """
 
     beam: Tensor
     number: Tensor
 
     @staticmethod
-    def of(context: EffectContext) -> BeamReturns:
-        """Pair the rows of a context. Without return numbers or pixels each row is a beam of its own."""
+    def of(context: EffectContext) -> BeamReturns | None:
+        """Pair the rows of a context. Returns None if the scene has no return numbers or no pixels."""
         scene, count = context.scene, len(context.beams)
-        beam, number = torch.arange(count), torch.zeros(count, dtype=torch.long)
-        if scene.return_number is not None and scene.range_image_index is not None:
-            beam = torch.from_numpy(beam_numbers(scene, count))
-            number[: len(scene.points)] = torch.from_numpy(scene.return_number.astype(np.int64))
-        return BeamReturns(beam, number)
+        if scene.return_number is None or scene.range_image_index is None:
+            return None
+        number = torch.zeros(count, dtype=torch.long)  # a no-return beam gets one return at most
+        number[: len(scene.points)] = torch.from_numpy(scene.return_number.astype(np.int64))
+        return BeamReturns(torch.from_numpy(beam_numbers(scene, count)), number)
 
-    @functools.cached_property
+    @property
     def later(self) -> Tensor:
         """Mask (N,) of the rows that are not the first return of their beam."""
         return self.behind(torch.arange(len(self.beam)), torch.ones(len(self.beam), dtype=torch.bool))
 
     def behind(self, row: Tensor, some: Tensor) -> Tensor:
-        """Return the mask (K,) of rows (K,) int64 with an earlier return of their beam among those of a mask (K,)."""
+        """Return the mask (K,) of the rows with an earlier return of the same beam among the rows of the mask `some`.
+
+        row: (K,) int64. some: (K,) bool.
+        """
         beam, number = self.beam[row], self.number[row]
         earliest = torch.full_like(self.beam, _NO_NUMBER).scatter_reduce(0, beam[some], number[some], "amin")
         return number > earliest[beam]

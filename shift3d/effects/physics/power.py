@@ -29,10 +29,13 @@ def overlap(range_m: Tensor) -> Tensor:
 
 
 def echo_power(albedo: Tensor, cosine: Tensor, range_m: Tensor) -> Tensor:
-    """Compute the echo power (K,) in clear air, albedo * cosine * xi(R) / R^2, in 1/m^2; constant as in `least_power`.
+    """Compute the echo power in clear air, albedo * cosine * xi(R) / R^2, up to the sensor's constant.
 
-    0 for any range below 0.9 m. Differentiable w.r.t. all three. Source: reference equations of echo power (Rasshofer
-    et al. 2011).
+    Args:
+        albedo: (K,) in [0, 1]. cosine: (K,) of incidence, in [0, 1]. range_m: (K,), metres.
+
+    Returns: (K,) in 1/m^2; 0 for any range below 0.9 m. Differentiable w.r.t. all three. Source: reference equations of
+    echo power (Rasshofer et al. 2011); constant as in `least_power`.
     """
     return albedo * cosine * overlap(range_m) / range_m.clamp(min=OVERLAP_FROM_M) ** 2
 
@@ -60,7 +63,8 @@ def detection_probability(power: Tensor, sensor: SensorModel) -> Tensor:
 def detection_draws(context: EffectContext) -> Tensor:
     """Draw (N,) float64 uniform in [0, 1), one a beam. A draw below `detection_probability` detects the echo.
 
-    All effects that lose echoes of the object share these draws: no beam is tried twice with different luck.
+    All effects that lose echoes of the object share these draws. Rain followed by ray drop therefore loses the same
+    echoes as one test with the weaker of both powers, and no beam is tried twice with different luck.
     """
     return torch.from_numpy(context.draws("power", "survival").random(len(context.beams)))
 
@@ -97,17 +101,21 @@ class DetectionLoss:
         return DetectionLoss(sensor, least_power(sensor.limit_range_m), detection_draws(context), own)
 
     def lost(self, returns: Returns, power: Tensor, transmission: Tensor) -> Tensor:
-        """Return the mask (K,) of the returns that the effect makes undetectable. Not differentiable.
+        """Return the mask (K,) of the returns that the effect makes undetectable.
 
-        power: (K,) before the effect, 1/m^2. transmission: (K,) in [0, 1], the share that is left. An echo of the
-        object must be detectable at all. Any other echo is known to have been detected before the effect, so that its
-        probability is survival(after) / survival(before).
+        Args:
+            returns: K rows. power: (K,) before the effect, 1/m^2. transmission: (K,) in [0, 1], the share that is left.
+
+        An echo of the object must be detectable at all. Any other echo is known to have been detected before the
+        effect, so that its probability is survival(after) / survival(before). Not differentiable.
         """
         lost = torch.zeros_like(returns.returned)
         if self.shared is None or self.own is None:
             return lost
         for on_object in (True, False):
             chosen = (returns.returned & (returns.on_object == on_object)).nonzero().squeeze(1)
+            if not len(chosen):
+                continue
             row, before, share = returns.row[chosen], power[chosen], transmission[chosen]
             if on_object:
                 lost[chosen] = self.shared[row] >= detection_probability(before * share, self.sensor)
@@ -118,9 +126,9 @@ class DetectionLoss:
     def _share_kept(self, before: Tensor, transmission: Tensor) -> Tensor:
         """Compute the detection probability (K,) after the effect, given detection before it.
 
-        A sharp limit cannot explain an echo with less than the least power (its reflectance may be reported as 0). Our
-        choice: its log power is exponentially distributed above the limit with mean 1, so that it survives with the
-        probability `transmission`. A soft limit gives transmission^(1 / power_spread).
+        A sharp limit cannot explain an echo with less than the least power (its reflectance may be reported as 0); its
+        true excess is unknown. Our choice: its log power is exponentially distributed above the limit with mean 1, so
+        that it survives with the probability `transmission`. A soft limit gives transmission^(1 / power_spread).
         """
         least, spread = self.least, self.sensor.power_spread
         if spread == 0.0:

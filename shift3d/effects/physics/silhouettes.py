@@ -75,7 +75,10 @@ def _box(insertion: Insertion, field: ObjectField) -> Box:
 
 
 def _off_hit_face(row: Tensor, field: ObjectField, insertion: Insertion, angle_rad: float) -> tuple[Tensor, Tensor]:
-    """Return the mask (H,) of hits with a sub-ray off the hit's face, and ranges (H,) before which it is not near."""
+    """Return the mask (H,) of hits with a sub-ray off the hit's face, and ranges (H,) before which it is not near.
+
+    A sub-ray is first intersected with the plane through the hit, then corrected.
+    """
     theta = insertion.theta.detach().double()
     rotation = scene_R_object(theta)
     origins = (insertion.beams.origins[row] - theta[:3]) @ rotation
@@ -100,7 +103,10 @@ def _off_hit_face(row: Tensor, field: ObjectField, insertion: Insertion, angle_r
 def _meet_face(
     origins: Tensor, directions: Tensor, k: Tensor, fall: Tensor, tolerance_m: Tensor, field: ObjectField
 ) -> Tensor:
-    """Return the mask (S,) of rays, object frame, that meet a surface next to ranges k. fall: of the field, a metre."""
+    """Return the mask (S,) of rays that meet a surface next to ranges k (S,). The field falls by `fall` (S,) a metre.
+
+    Rays are in the object frame. A field value that is not finite counts as no surface.
+    """
     met, rows, k = torch.zeros(len(k), dtype=torch.bool), torch.nonzero(fall > 0).squeeze(1), k.clone()
     for _ in range(1 + _CORRECTIONS):
         g = field(origins[rows] + k[rows, None] * directions[rows]).double()
@@ -121,10 +127,13 @@ def _normals(field: ObjectField, x_object: Tensor) -> Tensor:
 
 
 def _touched(rays: Rays, field: ObjectField, spread: float, safety: float, max_step_m: float) -> Tensor:
-    """Return the mask (M,) of rays that may have surface within spread * range on their stretch; object frame."""
-    # Cone tracing with over-relaxed steps: `safety` times the field's distance is free on both sides of a position. If
-    # the free reach of the next position does not lead back to the known free stretch, the ray is evaluated again where
-    # that stretch ends. A cone that a step may misjudge, or NaN, counts as touched.
+    """Return the mask (M,) of rays that may have surface within spread * range on their stretch; object frame.
+
+    Cone tracing with over-relaxed steps: `safety` times the field's distance is free on both sides of a position. The
+    next position lies ahead of the known free stretch. If its own free reach does not lead back, the ray is evaluated
+    again where the known stretch ends. A step is at least half the cone's radius. A cone that it may misjudge, or NaN,
+    counts as touched.
+    """
     found = torch.zeros(len(rays), dtype=torch.bool)
     k, ahead, rows = rays.near_m.clone(), torch.zeros(len(rays), dtype=torch.float64), torch.arange(len(rays))
     while len(rows):
@@ -143,6 +152,9 @@ def _touched(rays: Rays, field: ObjectField, spread: float, safety: float, max_s
 
 
 def _near(radius: Tensor) -> tuple[Tensor, Tensor]:
-    """Compute the distance (M,) at which surface touches cones of a radius (M,), and the least step (M,)."""
+    """Compute the distance (M,) at which surface counts as touched by cones of a radius (M,), and the least step (M,).
+
+    All in metres. Halfway through the least step, a surface is nearer by half of the step.
+    """
     least = (0.5 * radius).clamp_min(_LEAST_STEP_M)
     return radius + 0.5 * least, least

@@ -48,8 +48,11 @@ class FogEcho:
     range_m: NDArray[np.float64]
 
     def at(self, range_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Compute the log ratio of the fog's echo to a surface's (K,) in clear air, -inf below 0.9 m, where the
-        receiver sees no fog, and the fog's reported range."""
+        """Compute the log ratio of the fog's echo to the surface's echo in clear air, and the fog's reported range.
+
+        Args:
+            range_m: (K,) of the surfaces, metres. Below 0.9 m the receiver sees no fog in front of a surface: -inf.
+        """
         # Beyond the last depth the echo is constant; most surfaces lie there.
         log_gain, reported_m = np.full_like(range_m, self.log_gain[-1]), np.full_like(range_m, self.range_m[-1])
         near = np.nonzero(range_m < self.depth_m[-1])[0]
@@ -68,7 +71,10 @@ def fog_echo_table(extinction: float, backscatter: float) -> FogEcho:
     running integrals of w give it for every R and R0. The pulse is symmetric and w starts at 0.9 m. The maximum over R
     therefore lies between c tau / 2 and c tau beyond 0.9 m, and the pulse's tail always covers the start of w.
 
-    extinction, backscatter: alpha, 1/m, and beta, 1/(m sr). Source: Hahner et al. 2021, equations only.
+    Args:
+        extinction, backscatter: alpha, 1/m, and beta, 1/(m sr).
+
+    Source: Hahner et al. 2021, equations only.
     """
     length = LIGHT_M_S * PULSE_S
     wave = 2.0 * math.pi / length
@@ -119,24 +125,27 @@ class Fog(WeatherEffect):
     not tested: its calibration (Gamma) relates it to the echo of surfaces, not to the scale of albedo. As in the
     published method it is proportional to the reflectance of the surface behind it.
 
-    Also changes reflectance, and albedo, which becomes the apparent albedo through the fog, so that later effects
-    weaken the rest. Leaves unchanged: directions, cosine of surfaces, points that the fog does not outshine, rows
-    without a return (fog in front of the sky is neglected). Unlimited visibility changes nothing.
+    Also changes reflectance, as a sensor reports it (power times range squared), and albedo, which becomes the apparent
+    albedo through the fog, so that later effects weaken the rest. Leaves unchanged: directions, cosine of surfaces,
+    points that the fog does not outshine, rows without a return (fog in front of the sky is neglected). Unlimited
+    visibility changes nothing.
 
-    With rain and snow: each effect acts on the result of the one before. Left out are the fog's extinction on echoes of
-    drops and flakes in front of the surface, and the rain's on the fog's echo beyond the echo's own range.
+    With rain and snow: each effect acts on the result of the one before. Extinctions add up as they should. Two things
+    are left out: the fog's extinction on echoes of drops and flakes in front of the surface, and the rain's extinction
+    on the fog's echo beyond the echo's own range.
 
     Differentiable: points that stay. The gradient ignores the loss and replacement of echoes and the range at which
-    they happen; points of fog, reflectance and albedo carry none. Source: Hahner et al. 2021, equations; range
-    correction as in the authors' code (a maximum received later than R0 counts here, too); noise and least power: our
-    choice.
+    they happen; points of fog, reflectance and albedo carry none.
+
+    Source: Hahner et al. 2021, equations; range correction as in the authors' code (a maximum received later than R0
+    counts here, too); noise and least power: our choice.
     """
 
     name = "fog"
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Return a reason if 1 % of the light is lost, which shows in reflectance, at the sensor's limit, or because
-        fog outshines surfaces."""
+        """Return a reason if 1 % of the light is lost within the scene's reach and the loss can show: in reflectance,
+        at the sensor's limit, or because fog outshines surfaces."""
         visibility_m = scene.conditions.visibility_m
         extinction, reach = extinction_per_m(visibility_m), reach_m(scene.conditions)
         if loss(extinction, reach) < LEAST_LOSS:
@@ -150,26 +159,27 @@ class Fog(WeatherEffect):
         return reason if outshone_m is None else f"{reason}; fog outshines surfaces from {outshone_m:.0f} m on"
 
     def bind(self, context: EffectContext) -> ReturnsStep:
+        """Tabulate the echo once for each visibility in a process. Draws two values a beam if the limit is known."""
         visibility_m = context.scene.conditions.visibility_m
         if math.isinf(visibility_m):
             return unchanged
         limit = DetectionLoss.of(context, self.name)
-        soft, later = _echo_of(visibility_m), BeamReturns.of(context).later
+        soft = fog_echo_table(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
+        paired = BeamReturns.of(context)
+        later = None if paired is None else paired.later
         return lambda returns: _in_fog(returns, soft, limit, later)
 
 
-def _echo_of(visibility_m: float) -> FogEcho:
-    return fog_echo_table(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
-
-
-def _in_fog(returns: Returns, soft: FogEcho, limit: DetectionLoss, later: Tensor) -> Returns:
+def _in_fog(returns: Returns, soft: FogEcho, limit: DetectionLoss, later: Tensor | None) -> Returns:
     range_m = returns.range_m.detach()
     log_hard = -2.0 * soft.extinction_per_m * range_m
     log_soft, soft_m = (torch.from_numpy(values) for values in soft.at(range_m.numpy()))
     fog = returns.returned & (log_soft > log_hard)
     transmission = torch.exp(log_hard)
     power = echo_power(returns.albedo, returns.cosine, range_m)
-    lost = limit.lost(returns.without(fog), power, transmission) | (fog & later[returns.row])
+    lost = limit.lost(returns.without(fog), power, transmission)
+    if later is not None:
+        lost |= fog & later[returns.row]
     rows = fog.nonzero().squeeze(1)
     # Reported reflectance: power times the square of the reported range.
     nearness = soft_m[rows] / range_m[rows]
@@ -188,7 +198,8 @@ def _in_fog(returns: Returns, soft: FogEcho, limit: DetectionLoss, later: Tensor
 
 def _outshone_from_m(visibility_m: float, reach: float) -> float | None:
     """Find the range beyond which fog outshines surfaces, to half a metre; None if it lies beyond reach."""
-    range_m, soft = np.arange(1.0, reach, 0.5), _echo_of(visibility_m)
+    range_m = np.arange(1.0, reach, 0.5)
+    soft = fog_echo_table(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
     won = soft.at(range_m)[0] > -2.0 * soft.extinction_per_m * range_m
     return float(range_m[won.argmax()]) if won.any() else None
 

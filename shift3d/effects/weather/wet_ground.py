@@ -22,8 +22,9 @@ _DRY_ALBEDO, _TYPICAL_M = 0.3, 20.0
 def fresnel_reflectance(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
     """Compute the share (K,) of unpolarised light that an interface of two media reflects. Source: Fresnel.
 
-    index: refractive index behind the interface over that before it. If it is below 1 (from water into air), light
-    beyond the critical angle is reflected wholly.
+    Args:
+        cosine: (K,) of incidence, in [0, 1]. index: refractive index behind the interface over that before it. If it is
+            below 1 (from water into air), light beyond the critical angle is reflected wholly.
     """
     behind = (1.0 - (1.0 - cosine**2) / index**2).clamp(min=0.0).sqrt()
     # Both denominators vanish at grazing incidence (both cosines 0), where everything is reflected.
@@ -53,6 +54,9 @@ def wet_albedo(albedo: Tensor, cosine: Tensor) -> Tensor:
     T_aw = 1 - R(incidence) enters the water. T_wa leaves it towards the sensor: the same transmission, and 1 / n^2
     because light that leaves water spreads over a wider angle. The surface reflects R_wa back to the ground, which
     scatters it diffusely again. Absorption in the water is neglected (a millimetre: 1 % at 905 nm).
+
+    Args:
+        albedo: (K,) of the dry ground. cosine: (K,) of incidence on the water.
     """
     through = 1.0 - fresnel_reflectance(cosine)
     return through * albedo * through / WATER_INDEX**2 / (1.0 - albedo * internal_reflectance())
@@ -66,14 +70,17 @@ class WetGround(WeatherEffect):
     of the ground at any rate (our choice); mirroring puddles are left out.
 
     Leaves unchanged: points, directions, the object, everything above the ground, and scenes whose points contain their
-    weather. Not differentiable. Source: Fresnel transmission both ways (reference equations); diffuse light inside: our
-    choice (Lekner and Dorf 1988).
+    weather. No rain changes nothing. Not differentiable.
+
+    Source: Fresnel transmission both ways (reference equations); diffuse light inside: our choice (Lekner and Dorf
+    1988).
     """
 
     name = "wet_ground"
     reads_incidence = False
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
+        """Return a reason if the points do not contain the rain yet, and ground is in view."""
         conditions = scene.conditions
         if conditions.weather_in_points or not scene.ground_in_view:
             return None
@@ -85,6 +92,7 @@ class WetGround(WeatherEffect):
         )
 
     def bind(self, context: EffectContext) -> ReturnsStep:
+        """Draw two values a beam."""
         conditions, sensor = context.scene.conditions, context.scene.sensor
         known = sensor is not None and sensor.limit_range_m is not None
         if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:

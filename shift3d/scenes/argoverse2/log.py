@@ -42,7 +42,10 @@ def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
 
 
 def column(table: pa.Table, name: str, dtype: type[np.generic], file: Location) -> NDArray[Any]:
-    """Return one numeric column (rows,), cast to a dtype. Raises InputError: it is not numeric, or has gaps."""
+    """Return one numeric column (rows,), cast to a dtype.
+
+    Raises InputError: it is not numeric, has gaps, or holds a value that is no integer where the dtype is one.
+    """
     found = table[name]
     number = pa.types.is_integer(found.type) or pa.types.is_floating(found.type)
     if found.null_count or not number:
@@ -80,8 +83,11 @@ _TENTH_NS = 100_000_000  # interval of the velocity estimate
 
 @dataclass(frozen=True)
 class Sweep:
-    """One turn of both LiDARs, in the order of the file. points: (N, 3), metres, vehicle frame at the sweep's start.
-    reflectance: (N,), 0 to 1. is_up: (N,), point of the upper LiDAR. offset_ns: (N,) since the sweep's start."""
+    """One turn of both LiDARs, in the order of the file.
+
+    points: (N, 3) float32, metres, vehicle frame at the sweep's start. reflectance: (N,) float32, 0 to 1. is_up: (N,)
+    bool, point of the upper LiDAR. offset_ns: (N,) int64 since the sweep's start.
+    """
 
     points: NDArray[np.float32]
     reflectance: NDArray[np.float32]
@@ -171,7 +177,8 @@ def _city_poses(log: Location) -> tuple[NDArray[np.int64], Float]:
 def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offset: Float) -> Labels:
     """Read the boxes of a sweep, in file order; none if the sweep or the log (test split) has no annotations.
 
-    points: (N, 3) scene frame; counted in the boxes. offset: (3,) scene origin in the vehicle frame, metres.
+    Args:
+        points: (N, 3) scene frame; counted in the boxes. offset: (3,) scene origin in the vehicle frame, metres.
 
     Raises InputError: the file is damaged, of another log, or has an unknown category.
     """

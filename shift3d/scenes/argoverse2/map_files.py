@@ -28,8 +28,10 @@ def map_files(log: Location) -> list[Location]:
 
 
 def read_ground_map(log: Location, city_SE3_scene: Float) -> GroundMap | None:
-    """Read heights, drivable areas, or both around a scene; None if the log has no map. Raises InputError: a damaged
-    file, or heights without the raster's transform."""
+    """Read the ground around a scene: heights, drivable areas, or both. Returns None if the log has no map.
+
+    city_SE3_scene: (4, 4), metres. Raises InputError: a damaged file, or heights without the raster's transform.
+    """
     files = map_files(log)
     by_kind = {kind: [file for file in files if kind in file.name] for kind in (_HEIGHTS, _RASTER, _OUTLINES)}
     ground, areas = np.zeros((0, 3)), None

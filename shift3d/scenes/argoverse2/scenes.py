@@ -36,13 +36,15 @@ class Argoverse2Scenes(RecordedScenes):
     Args:
         root: a split (train/, val/, test/), which holds logs, or one log.
         names: ``LOG-TIMESTAMP`` of the sweeps to use; None: every sweep, in order.
+        count: maximum number of sweeps; the search stops there.
         every: use every n-th sweep of each log; has no effect on named sweeps.
+        list_unreadable: also list named sweeps that do not exist; loading one raises InputError.
 
     A scene's origin is the upper LiDAR, its axes are the vehicle's, its time 0 the sweep's start. Points keep the order
     of the file. Every beam starts at its LiDAR's position at the firing time (two LiDARs of 32 beams, one above the
     other). Points are motion compensated to the sweep's start. The files store coordinates as float16: a point is up to
     half a step off along each axis, 1 mm within 2 m, 8 mm within 32 m, 3 cm beyond 64 m of the rear axle along that
-    axis; directions by 0.5 mrad, on average less.
+    axis. Beams through these points are off by as much, across and along; directions by 0.5 mrad, on average less.
 
     Placements have the drivable areas and heights (float16: 3 to 6 cm) of a log's map/, if any; see `GroundMap`.
 

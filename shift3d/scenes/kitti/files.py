@@ -43,8 +43,9 @@ _LARGEST_PIXEL = 1e6  # of a projection's entries: focal lengths are some hundre
 class Calibration:
     """Calibration of camera 2 of one frame. KITTI has labels only in its view.
 
-    The rectified camera frame has x right, y down, z forward. image_P_camera: (3, 4) projection from it to pixels.
-    camera_T_lidar: (4, 4), rigid.
+    Attributes:
+        image_P_camera: (3, 4) projection from the rectified camera frame (x right, y down, z forward) to pixels.
+        camera_T_lidar: (4, 4) rigid transform from the LiDAR frame to the rectified camera frame.
     """
 
     image_P_camera: Float  # noqa: N815
@@ -57,12 +58,18 @@ class Calibration:
         return lidar
 
     def in_view(self, boxes: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Return the mask (M,) of boxes (M, 7) whose centre lies between the image's left and right edges."""
+        """Return the mask (M,) of boxes (M, 7) whose centre lies between the image's left and right edges.
+
+        Used for average precision: a detection outside may be right but has no label to match.
+        """
         pixels, depth = self.pixels(np.asarray(boxes)[:, :3])
         return (pixels[:, 0] >= 0) & (pixels[:, 0] < IMAGE_SIZE[0]) & (depth > 0.0)
 
     def height_px(self, boxes: NDArray[np.floating]) -> Float:
-        """Compute the height (M,) of boxes (M, 7) in the image, pixels; all of it if they reach behind the camera."""
+        """Compute the image height of boxes (M, 7), clipped to the image: (M,) float64, pixels.
+
+        A box that reaches behind the camera gets the whole height.
+        """
         pixels, depth = self.pixels(corners_3d(boxes).reshape(-1, 3))
         rows = np.clip(pixels[:, 1], 0.0, IMAGE_SIZE[1]).reshape(-1, 8)
         height: Float = rows.max(axis=1, initial=0.0) - rows.min(axis=1, initial=IMAGE_SIZE[1])
@@ -81,6 +88,7 @@ class KittiLabel:
     """One row of a label file: KITTI name and box (7,) in the LiDAR frame, in shift3d's convention.
 
     truncation: share of the object outside the image, 0 to 1. occlusion: 0 none, 1 partly, 2 largely, 3 unknown.
+    image_height_px: height of the object's box in the image.
     """
 
     name: str
@@ -107,10 +115,11 @@ def read_points(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Read points (N, 3) in the LiDAR frame and reflectance (N,) of a velodyne file, in file order.
 
-    reflectance_max: file value of full reflectance; None: 1. Reflectance is divided by it and clipped to 0..1.
+    Args:
+        reflectance_max: file value of full reflectance; None: 1. Reflectance is divided by it and clipped to 0..1.
 
-    Raises InputError: as `read_records`; also for NaN or infinity, ranges that are not metres (`require_metres`), or
-    reflectances on another scale.
+    Raises InputError: the file is missing, empty, or not a whole number of 16-byte records; it contains NaN or
+    infinity, ranges that are not metres (`require_metres`), or reflectances on another scale.
     """
     values = read_records(as_location(path), "frame", 4)
     refuse_not_finite(values, str(path))
@@ -123,7 +132,8 @@ def read_points(
 def read_calibration(path: LocationLike) -> Calibration:
     """Read the matrices of camera 2.
 
-    Raises InputError: the file or a line is missing; a line is malformed or repeated; no rotation or no projection.
+    Raises InputError: the file is missing; a line is missing, malformed or repeated; or the matrices are no rotation
+    and no projection.
     """
     found: dict[str, Float] = {}
     for number, line in enumerate(read_lines(as_location(path), "calibration file"), start=1):
@@ -164,7 +174,10 @@ def _checked(found: dict[str, Float], path: LocationLike) -> Calibration:
 
 
 def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel]:
-    """Read the labels in file order, without DontCare rows. Raises InputError: the file is missing or malformed."""
+    """Read the labels in file order, without DontCare rows.
+
+    Raises InputError: the file is missing or a row is malformed.
+    """
     labels = []
     for number, line in enumerate(read_lines(as_location(path), "label file"), start=1):
         columns, where = line.split(), f"{path}, line {number}"
@@ -196,10 +209,14 @@ def read_ground_z(path: LocationLike) -> float:
 
 
 def lidar_box(size_hwl: list[float], bottom_camera: list[float], rotation_y: float, calibration: Calibration) -> Float:
-    """Convert a KITTI camera-frame box to a box (7,) in the LiDAR frame, without their small relative roll and pitch.
+    """Convert a KITTI camera-frame box to (x, y, z, dx, dy, dz, heading) in the LiDAR frame.
 
-    bottom_camera: centre of the box's BOTTOM in the rectified camera frame (y points down). rotation_y: about the
-    camera's y axis; 0: the nose points along camera x (to the right).
+    Args:
+        size_hwl: height, width, length in metres.
+        bottom_camera: centre of the box's BOTTOM in the rectified camera frame (y points down).
+        rotation_y: about the camera's y axis; 0: the nose points along camera x (to the right).
+
+    Returns: (7,) with the geometric centre, without the small roll and pitch between camera and LiDAR.
     """
     height, width, length = size_hwl
     nose = np.array([np.cos(rotation_y), 0.0, -np.sin(rotation_y)])

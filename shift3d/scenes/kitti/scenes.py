@@ -36,6 +36,7 @@ class KittiScenes(RecordedScenes):
     Args:
         root: the folder that holds ``training/``, or ``training`` itself.
         names: frame numbers to use ("000134"); None: every frame that has a point file, sorted.
+        count: maximum number of frames.
         reflectance_max: file value of full reflectance; None: 1, as in KITTI's own files.
         list_unreadable: also list frames whose files are missing; loading one raises InputError.
 
@@ -104,7 +105,10 @@ class KittiScenes(RecordedScenes):
         return read_calibration(self.folder / "calib" / f"{name}.txt")
 
     def label_rows(self, name: str) -> list[KittiLabel]:
-        """Read the labels of one frame with their image data, in the order of the scene's. Raises: as `read_labels`."""
+        """Read the labels of one frame with their image data, in the order of the scene's labels.
+
+        Raises InputError: the label file is missing or malformed.
+        """
         return read_labels(self.folder / "label_2" / f"{name}.txt", self.camera_view(name))
 
     def _labels(self, name: str, points: NDArray[np.float32]) -> Labels:

@@ -36,8 +36,12 @@ def frame_files(
     boxes: NDArray[np.float64],
     classes: Sequence[str],
 ) -> dict[str, bytes]:
-    """Return the files of a frame, such as "000000", by their path under KITTI's root, from points (N, 3) and boxes
-    (M, 7), all around, in the LiDAR frame. KITTI itself labels only the camera's view."""
+    """Return the files of one frame by their path under KITTI's root.
+
+    Args:
+        name: of the frame, such as "000000". points: (N, 3) LiDAR frame. reflectance: (N,) 0 to 1.
+        boxes: (M, 7) LiDAR frame, all around; KITTI itself labels only the camera's view. classes: M of shift3d's.
+    """
     matrices = {"P2": _P2, "R0_rect": np.eye(3), "Tr_velo_to_cam": CALIBRATION.camera_T_lidar[:3]}
     lines = (f"{key}: {' '.join(f'{value:.12e}' for value in matrices[key].ravel())}\n" for key in matrices)
     labels = "".join(f"{label_line(kind, box)}\n" for kind, box in zip(classes, boxes, strict=True))
@@ -50,8 +54,10 @@ def frame_files(
 
 
 def label_line(kind: str, box: NDArray[np.float64]) -> str:
-    """Format a box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`. Occlusion is unknown;
-    the image box is clipped to the image, and empty if the camera does not see the object."""
+    """Format a box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`.
+
+    Occlusion is 3, unknown. The image box is clipped to the image, and empty if the camera does not see the object.
+    """
     x, y, z, length, width, height, heading = (float(value) for value in box)
     bottom = CALIBRATION.camera_T_lidar[:3, :3] @ np.array([x, y, z - height / 2.0])
     turn = math.remainder(-heading - math.pi / 2.0, 2.0 * math.pi)

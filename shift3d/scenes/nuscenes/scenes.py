@@ -35,14 +35,17 @@ class NuScenesScenes(RecordedScenes):
     Args:
         root: holds v1.0-*/, samples/ and sweeps/; or *.pcd.bin files, which have no labels, poses or other sweeps.
         names: samples (tokens) to use, or stems of files without tables; None: all, in order of time.
+        count: maximum number of scenes.
         version: the folder of tables, such as v1.0-mini; None: the only folder.
         sweeps: number of sweeps in a scene: the key frame and those before it, fewer at the start of a drive.
+        list_unreadable: also list names that no table has; loading one raises InputError.
 
     A scene's origin is the LiDAR at the key frame, its axes are the vehicle's. Its points are the key frame's, in the
     order of the file, then those of each earlier sweep, moved to the key frame by the vehicle's poses. Beams start at
-    the sensor's position in their sweep. All points of a sweep, which the data set has motion compensated, have the
-    same firing time: 0 for the key frame, minus the sweep's age for earlier sweeps. With `effects.object_speed_m_s`
-    each sweep meets an inserted vehicle at its position at that time. Poses have roll and pitch, but no height.
+    the sensor's position in their sweep. All points of a sweep have the same firing time: 0 for the key frame, minus
+    the sweep's age for earlier sweeps. An inserted vehicle therefore stands still across sweeps as the world does, and
+    with `effects.object_speed_m_s` each sweep meets it at its position at that time. The data set has motion
+    compensated the points of a sweep. Poses have roll and pitch, but no height.
 
     Raises InputError: neither tables nor files, several versions to choose from, or several sweeps without tables.
     """

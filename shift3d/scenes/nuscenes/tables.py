@@ -88,8 +88,10 @@ class LidarFile:
 
 @dataclass
 class Release:
-    """Tables of one version, restricted to LIDAR_TOP: files by token, and key frames' tokens by sample, in order of
-    time."""
+    """Tables of one version, restricted to LIDAR_TOP.
+
+    lidar: files by token, with sweeps between key frames. key_frames: file token by sample, in order of time.
+    """
 
     folder: Location
     lidar: dict[str, LidarFile]
@@ -162,7 +164,9 @@ def class_of(category: str) -> str:
 def read_annotations(folder: Location, samples: set[str]) -> dict[str, list[dict[str, Any]]]:
     """Read the annotations by sample, each with its ``category``; empty if the release has none (test split).
 
-    The category is None if its row is missing: `boxes_of` refuses that annotation. Raises InputError: a damaged table.
+    The category is None if its row or the instance's row is missing: `boxes_of` refuses that annotation.
+
+    Raises InputError: a table is missing or damaged.
     """
     found: dict[str, list[dict[str, Any]]] = {sample: [] for sample in samples}
     for row in table_rows(folder / "sample_annotation.json"):
@@ -202,7 +206,10 @@ _RAIN = re.compile(r"\brain(y|ing|s)?\b", re.IGNORECASE)  # neither train nor te
 
 
 def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
-    """Read the weather of samples, "rain" or "dry", from their drives' descriptions. Raises: as `read_annotations`."""
+    """Read the weather of samples, "rain" or "dry", from the descriptions of their drives.
+
+    Raises InputError: a table is missing or damaged.
+    """
     rows = indexed(folder / "sample.json", lambda row: str(row.get("token")) in samples)
     drives, found = indexed(folder / "scene.json"), {}
     for name in samples:

@@ -23,17 +23,18 @@ class StreetOptions:
 
     Attributes:
         weather: "dry", "rain", "fog" or "snow". Only the scene's conditions state it; effects apply it to the points.
-        rain_mm_h, visibility_m, snow_mm_h: its strength; None: filled in from :data:`WEATHER_STRENGTHS`.
+        rain_mm_h, visibility_m, snow_mm_h: strength of the weather; None: filled in from :data:`WEATHER_STRENGTHS`.
         sensor_model: the scene states its sensor's noise, divergence and power law.
         range_image: the scene contains its no-return beams.
         returns: 1, or 2 returns of a beam that a surface lets pass in part.
-        sensors: 1, or up to 5: short-range ones at the corners. Points then have no pixels.
+        sensors: 1, or up to 5: short-range ones at the corners, front left, front right, rear left, rear right. Points
+            then have no pixels.
         ego_speed_m_s: along +x during the turn.
         motion_compensated: points at time 0, origins follow the sensor; otherwise in the sensor frame at firing time.
         traffic: "family": vehicles of the embedded family; "wide": of the wide family's seen kinds, no two alike;
             "held_out": every second vehicle of a kind that training never sees, see `vehicles.family.split`.
-        beams: one of :data:`BEAM_NAMES` scans the street from the position of the street's own sensor, which determines
-            the layout; None: its own sensor does.
+        beams: one of :data:`BEAM_NAMES`: that sensor scans the street from the position of the street's own sensor,
+            which determines the layout; None: its own sensor does.
 
     Raises InputError: values out of range or settings that contradict each other, naming the field and the remedy.
     """

@@ -32,8 +32,13 @@ class Intersector:
         TriangleMesh(self._scene, self.vertices, self.faces)
 
     def first_hit(self, origins: Float32, directions: Float32) -> tuple[Float32, NDArray[np.int32], Float32]:
-        """Compute first hits of rays (N, 3), directions of unit length: range_m (N,), infinite without a hit; face
-        (N,), -1 without a hit; cosine (N,) of incidence."""
+        """Compute first hits of rays.
+
+        Args:
+            origins, directions: (N, 3) float32, directions of unit length.
+
+        Returns: range_m (N,), infinite without a hit; face (N,), -1 without a hit; cosine (N,) of incidence.
+        """
         out = self._scene.run(origins, directions, output=1)
         face: NDArray[np.int32] = out["primID"]
         normal = out["Ng"]
@@ -57,8 +62,14 @@ def beam_directions(sensor_name: str) -> Float32:
 
 @dataclass
 class Hits:
-    """First hits of beams: arrays of one shape. range_m: infinite without a hit. item: number of the object, -1 for the
-    ground, -2 without a hit. cosine: of the incidence angle."""
+    """First hits of beams: arrays of one shape.
+
+    Attributes:
+        range_m: infinite without a hit.
+        item: number of the object, -1 for the ground, -2 without a hit.
+        material: see :class:`Material`.
+        cosine: of the incidence angle.
+    """
 
     sensor: Sensor
     range_m: Float32
@@ -68,10 +79,14 @@ class Hits:
 
     @staticmethod
     def none(sensor: Sensor, count: int) -> Hits:
+        """Return empty hits of `count` beams."""
         return Hits(sensor, *_nothing((count,)))
 
     def enter(self, beams: NDArray[np.intp], found: FirstHits, item: int | NDArray[np.int32]) -> None:
-        """Enter the hits of beams, indices (K,) of the flattened arrays, that are nearer than the present hits."""
+        """Enter the hits of beams, indices (K,) of the flattened arrays, that are nearer than the present hits.
+
+        item: one for all beams, or (K,).
+        """
         range_m, material, cosine = found
         nearer = range_m < self.range_m.reshape(-1)[beams]
         target = beams[nearer]
@@ -91,8 +106,10 @@ def _nothing(shape: tuple[int, ...]) -> tuple[Float32, NDArray[np.int32], NDArra
 class Sweep(Hits):
     """First hits of one turn, one cell a beam: (rows, columns) arrays that casting fills in.
 
-    directions: (rows, columns, 3) float32 unit vectors, scene frame. origins_m: (1, 3) float64 if all beams share one
-    origin, else (columns, 3), the origin of each column.
+    Attributes:
+        mount: position and motion of the sensor; the world is static.
+        directions: (rows, columns, 3) float32 unit vectors, scene frame.
+        origins_m: (1, 3) float64 if all beams share one origin, else (columns, 3), the origin of each column.
     """
 
     mount: Mount
@@ -101,6 +118,7 @@ class Sweep(Hits):
 
     @classmethod
     def empty(cls, sensor: Sensor, mount: Mount = AT_ORIGIN) -> Sweep:
+        """Return a sweep without hits."""
         shape = (len(sensor.elevations_rad), sensor.columns)
         directions = beam_directions(sensor.name)
         if mount.heading_rad:
@@ -168,10 +186,12 @@ def hit_instance(
     starts: Float,
     directions: NDArray[np.floating],
 ) -> FirstHits:
-    """Compute first hits of rays on a mesh given in its object frame. See `Hit`.
+    """Compute first hits of rays on a mesh given in its object frame.
 
-    position: (3,) of the object's origin in the scene. glass_band_m: hits between these heights of the object frame
-    count as glass.
+    Args:
+        scene_R_object: (3, 3); position: (3,) of the object's origin in the scene.
+        glass_band_m: hits between these heights of the object frame count as glass.
+        starts: (3,) or (N, 3), scene frame; directions: (N, 3).
     """
     directions = directions.astype(np.float32, copy=False)
     local = np.ascontiguousarray(directions @ scene_R_object.astype(np.float32))
@@ -192,8 +212,10 @@ def hit_leaves(
 ) -> FirstHits:
     """Compute first hits of rays on an ellipsoid of leaves. Depths are exponentially distributed; deep rays pass.
 
-    See `Hit`. centre, radii: (3,). free_path_m: mean depth. Source: our choice; a beam's survival in a medium of
-    scattered leaves falls off exponentially.
+    Args:
+        centre, radii: (3,). free_path_m: mean depth. starts: (3,) or (N, 3), scene frame; directions: (N, 3).
+
+    Source: our choice; a beam's survival in a medium of scattered leaves falls off exponentially.
     """
     scaled, offset = directions.astype(np.float64, copy=False) / radii, (starts - centre) / radii
     a = (scaled * scaled).sum(axis=1)

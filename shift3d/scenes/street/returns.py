@@ -41,10 +41,15 @@ def sensor_model(sensor: Sensor) -> SensorModel:
 def finish(
     sweep: Hits, paint: dict[int, Paint], rng: np.random.Generator, share: NDArray[np.float64] | float = 1.0
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Compute ranges and reflectances float32 as a sensor reports them, and kept beams, in the shape of the hits.
+    """Compute ranges as a sensor reports them.
 
-    paint: of vehicles, by item number; other objects have their material's albedo. share: of each beam's light that
-    gets there and back; the rest met something in front. Source: our choice.
+    Args:
+        sweep: first hits of every beam.
+        paint: of vehicles, by item number; other objects have their material's albedo.
+        share: share of each beam's light that gets there and back; the rest met something in front.
+
+    Returns: range_m, reflectance (both float32) and kept (bool), in the shape of the hits. Source: our choice; noise
+    acts along the beam only, and power falls with range squared and incidence.
     """
     sensor, shape = sweep.sensor, sweep.range_m.shape
     noise = sensor.range_noise_m * rng.standard_normal(shape)
@@ -78,10 +83,11 @@ def _per_item(sweep: Hits, values: dict[int, float], otherwise: NDArray[np.float
 
 @dataclass(frozen=True)
 class Echoes:
-    """Returns (K) of one turn, or of several turns one after the other.
+    """Returns of one turn, or of several turns one after the other.
 
-    points, origins: in the frame of the scene's points; origins are a view of one row if possible. pixel: row and
-    column in the sensor's range image.
+    Attributes:
+        points, origins: (K, 3) float32 in the frame of the scene's points; origins are a view of one row if possible.
+        reflectance, time_s: (K,) float32. pixel: (K, 2) int32, row and column in the sensor's range image.
     """
 
     points: Float32
@@ -92,8 +98,12 @@ class Echoes:
 
     @staticmethod
     def of(sweep: Sweep, cells: Cells, range_m: Float32, reflectance: Float32, compensated: bool) -> Echoes:
-        """Convert returns of some beams of a sweep. compensated: points belong to time 0; otherwise to the frame of the
-        sensor at the firing time."""
+        """Convert returns of some beams of a sweep.
+
+        Args:
+            cells: row and column of each beam; range_m, reflectance: (K,).
+            compensated: points belong to time 0; otherwise to the frame of the sensor at the firing time.
+        """
         row, column = cells
         points = (sweep.directions[row, column] * range_m[:, None]).astype(np.float32)
         starts = _origins_of_columns(sweep, compensated)

@@ -35,8 +35,11 @@ def second_returns(
             counts: ground at a grazing angle stretches an echo but does not split it.)
     The second echo enters the power law with that share, and lies at least SEPARATION_M behind the first.
 
-    range_m, kept: (rows, columns) from `finish`. Returns the beams' cells, row by row, ranges (K,) and reflectances
-    (K,), float32. Source: our choice, from the physics.
+    Args:
+        sweep: first hits; range_m, kept: (rows, columns) from `finish`.
+
+    Returns: The beams' cells (row and column (K,), row by row), ranges (K,) and reflectances (K,), float32. Source: our
+    choice, from the physics.
     """
     through, through_hits, through_share = _through(world, sweep, kept, paint, rng)
     edge, edge_hits, edge_share = _behind_silhouettes(world, sweep, kept, rng)

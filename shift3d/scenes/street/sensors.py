@@ -15,11 +15,19 @@ from numpy.typing import NDArray
 class Sensor:
     """Spinning LiDAR with a common origin of all beams.
 
-    elevations_rad: from the top beam down. columns: firings a turn. Azimuth decreases (clockwise from above) from half
-    the view; on a full turn column 0 looks backwards. min_range_m, max_range_m: of a return. range_noise_m: standard
-    deviation along the beam. range_step_m: resolution of the reported range. drop_rate: share of returns lost at
-    random, at any range. divergence_rad: full angle of a beam's cone. view_rad: sector of the turn, about the sensor's
-    own forward, in which it fires.
+    Attributes:
+        name: one of :data:`BEAMS`, or of a head beside the main one.
+        elevations_rad: beam elevations from the top beam down.
+        columns: firings a turn. Azimuth decreases (clockwise from above) from half the view; on a full turn column 0
+            looks backwards.
+        mount_height_m: above the ground.
+        min_range_m, max_range_m: of a return.
+        range_noise_m: standard deviation along the beam.
+        range_step_m: resolution of the reported range.
+        turn_s: duration of a turn.
+        drop_rate: share of returns lost at random, at any range.
+        divergence_rad: full angle of a beam's cone.
+        view_rad: sector of the turn, about the sensor's own forward, in which it fires.
     """
 
     name: str
@@ -47,7 +55,11 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Mount:
-    """Position of a sensor at the start of its turn, scene frame, heading of its own forward, and speed along +x."""
+    """Position of a sensor at the start of its turn, and its motion.
+
+    Attributes:
+        origin_m: scene frame. heading_rad: of its own forward, from the scene's +x. speed_m_s: along the scene's +x.
+    """
 
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     heading_rad: float = 0.0
@@ -108,8 +120,10 @@ def other_heads(main: Sensor, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
 
 
 def side_sensors(main: Sensor, count: int, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
-    """Return short-range sensors at the corners of the car, facing outwards along the diagonals (our choice). They
-    share the main sensor's noise and divergence: one `SensorModel` describes the whole scene."""
+    """Return short-range sensors at the corners of the car below the main sensor, facing outwards along the diagonals.
+
+    They share the main sensor's noise and divergence: one `SensorModel` describes the whole scene. Source: our choice.
+    """
     sensor = replace(SHORT32, range_noise_m=main.range_noise_m, divergence_rad=main.divergence_rad)
     height_m = SHORT32.mount_height_m - main.mount_height_m
     return [

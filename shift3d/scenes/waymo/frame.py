@@ -51,8 +51,8 @@ def component_file(root: Location, component: str, segment: str) -> Component:
 def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[str]) -> list[LaserFrame]:
     """Read a frame of each of the lasers, in the order of their numbers.
 
-    Raises InputError: a component is missing or unreadable, or has no row or two of a laser; images of other sizes, or
-    with a range that is not finite.
+    Raises InputError: a component is missing or unreadable; a laser has no row, or two, in a component; the images of a
+    laser differ in size, or have a range that is not finite.
     """
     lidar = component_file(root, "lidar", segment)
     columns = [LASER, *(f"{image}.{part}" for image in _IMAGES for part in ("values", "shape"))]
@@ -74,7 +74,10 @@ def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[st
 
 
 def read_calibrations(root: Location, segment: str, wanted: Sequence[int]) -> dict[int, LaserCalibration]:
-    """Read the calibrations of the lasers by number. Raises InputError: as `read_frame`."""
+    """Read the calibrations of the lasers by number.
+
+    Raises InputError: the component is missing or unreadable, has a laser twice, or lacks a wanted laser.
+    """
     component = component_file(root, "lidar_calibration", segment)
     columns = [LASER, _EXTRINSIC, *(f"{_INCLINATION}.{part}" for part in ("min", "max", "values"))]
     found = {}
@@ -162,7 +165,8 @@ def read_labels(
 ) -> Labels:
     """Read the boxes of a frame (possibly none), in the order of the file, and count the given points.
 
-    points: (N, 3) scene frame. offset: (3,) scene origin in the vehicle frame, metres.
+    Args:
+        points: (N, 3) scene frame. offset: (3,) scene origin in the vehicle frame, metres.
 
     Raises InputError: the component is missing, unreadable or without rows; an object twice; an unknown type.
     """
@@ -186,6 +190,9 @@ def read_labels(
 
 
 def read_weather(root: Location, segment: str, timestamp: int) -> str:
-    """Read "rain" or "dry" from the segment's statistics; dry if they do not list this frame. Raises: as `rows`."""
+    """Read "rain" or "dry" from the segment's statistics; dry if they do not list this frame.
+
+    Raises InputError: the component is missing, unreadable or without rows.
+    """
     rows = component_file(root, "stats", segment).rows([_WEATHER], timestamp)
     return "rain" if "rain" in {str(word).lower() for word in rows[_WEATHER].to_pylist()} else "dry"

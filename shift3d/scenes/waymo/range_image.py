@@ -18,8 +18,11 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LaserCalibration:
-    """Calibration of one laser: inclination of the lowest and highest beam, and of each from the lowest up; None:
-    evenly spaced."""
+    """Calibration of one laser of the vehicle.
+
+    vehicle_SE3_laser: (4, 4). inclination_rad: lowest and highest beam. beams_rad: inclination of each beam from the
+    lowest up; None: evenly spaced between the two.
+    """
 
     vehicle_SE3_laser: Float  # noqa: N815
     inclination_rad: tuple[float, float]
@@ -45,9 +48,11 @@ def inclinations(laser: LaserCalibration, height: int, where: str) -> Float:
 
 
 def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
-    """Fill all-zero poses (H, W, 6) of pixels from the nearest row above that has a pose, else the nearest column.
+    """Fill all-zero poses (H, W, 6) of pixels from the nearest row above that has a pose.
 
-    The bottom rows of published images may be zero. The pixels of a column fire together: their poses differ little.
+    The bottom rows of published images may be zero. The pixels of a column fire together, so that poses differ little
+    along it. A column without any pose takes those of the nearest column.
+
     Raises InputError: no pixel has a pose, or one has NaN. Source: our choice.
     """
     array: Float = np.asarray(poses, np.float64)
@@ -70,7 +75,8 @@ def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
 def vehicle_SE3_pixels(poses: Float, global_SE3_vehicle: Float) -> Float:
     """Compute transforms (H, W, 4, 4) from the vehicle at each pixel's firing time to the vehicle at the frame's time.
 
-    poses: (H, W, 6) roll, pitch, yaw, x, y, z of the vehicle in the global frame.
+    Args:
+        poses: (H, W, 6) roll, pitch, yaw, x, y, z of the vehicle in the global frame.
     """
     pixels = rigid(rotation_of_angles(poses[..., 0], poses[..., 1], poses[..., 2]), poses[..., 3:])
     return inverse(global_SE3_vehicle) @ pixels
@@ -84,8 +90,11 @@ def vehicle_beams(
     A return at range r lies at origin + r direction. Column j of W has the azimuth (2 (W - j - 0.5) / W - 1) pi -
     atan2(E10, E00), E the laser's extrinsic; azimuths therefore decrease along a row.
 
-    shape: (H, W) of the range image. pixels: of `vehicle_SE3_pixels`; None: vehicle at rest. Returns origins (H, W, 3),
-    metres, a broadcast view without pixels, and unit directions (H, W, 3), float64.
+    Args:
+        shape: (H, W) of the range image. pixels: (H, W, 4, 4) of `vehicle_SE3_pixels`; None: vehicle at rest.
+
+    Returns:
+        origins (H, W, 3), metres, and unit directions (H, W, 3), float64; origins are a broadcast view without pixels.
     """
     height, width = shape
     extrinsic = laser.vehicle_SE3_laser

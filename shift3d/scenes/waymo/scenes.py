@@ -38,8 +38,10 @@ class WaymoScenes(RecordedScenes):
     """Frames under a folder or bucket with ``{component}/{segment}.parquet``.
 
     Args:
-        root: holds `COMPONENTS`, and optionally lidar_box/ (labels) and stats/ (weather).
+        root: holds lidar/, lidar_calibration/, lidar_pose/, vehicle_pose/, and optionally lidar_box/ (labels) and
+            stats/ (weather).
         names: ``SEGMENT-TIMESTAMP`` of the frames to use; None: every frame, in order.
+        count: maximum number of frames; the search stops there.
         lasers: names of the sensors to use, from `LASERS`.
         every: use every n-th frame of each segment; has no effect on named frames.
         list_unreadable: list a segment without a readable list of frames by its own name; loading raises InputError.

@@ -25,13 +25,19 @@ _AGAIN = "Copy it again"
 
 @dataclass(frozen=True)
 class Component:
-    """The file of one component of one segment, which all its rows must name."""
+    """One component of one segment.
+
+    file: ``{root}/{component}/{segment}.parquet`` in a folder or a bucket. segment: required segment of all rows.
+    """
 
     file: Location
     segment: str
 
     def timestamps(self) -> list[int]:
-        """List the frames that have rows, microseconds, ascending. Raises InputError: as `rows`."""
+        """List the frames that have rows, microseconds, ascending.
+
+        Raises InputError: the file cannot be read, or has no rows.
+        """
         with self._opened((SEGMENT, FRAME)) as parquet:
             keys = self._checked(parquet.read(columns=[SEGMENT, FRAME]))
         if not keys.num_rows:
@@ -97,7 +103,10 @@ def _integers(column: pa.ChunkedArray, file: Location) -> NDArray[np.int64]:
 
 
 def numbers(value: Any, size: int | None, where: str) -> NDArray[np.float64]:
-    """Convert a list of numbers of any width to float64. Raises InputError: no such list, or not of length `size`."""
+    """Convert a list of numbers of any width to float64. size: required length, or None.
+
+    Raises InputError: no list of numbers, or another length.
+    """
     try:
         found: NDArray[np.float64] = np.asarray(value.values.to_numpy(zero_copy_only=False), np.float64)
     except (AttributeError, TypeError, ValueError) as error:
@@ -108,7 +117,10 @@ def numbers(value: Any, size: int | None, where: str) -> NDArray[np.float64]:
 
 
 def by_key(table: pa.Table, key: str, where: str) -> Mapping[Any, dict[str, Any]]:
-    """Index rows, dictionaries of Arrow scalars by column, by the values of a key. Raises InputError: a value twice."""
+    """Index rows by the values of a key; each row is a dictionary of columns to Arrow scalars.
+
+    Raises InputError: two rows with the same key value.
+    """
     found: dict[Any, dict[str, Any]] = {}
     for row in range(table.num_rows):
         value = table[key][row].as_py()

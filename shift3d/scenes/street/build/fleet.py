@@ -28,15 +28,21 @@ _FAMILY_SLOT_M = (5.7, 2.1, 1.8)
 
 @dataclass(frozen=True)
 class Fleet:
-    """Vehicles of a street, and their reserved slots (which need no mesh), by the variant number of an item."""
+    """Vehicles of a street, by the variant number of an item.
+
+    slot_m: reserved floor space and height of a vehicle, metres; does not build the mesh. vehicle: the vehicle.
+    """
 
     slot_m: Callable[[int], Size]
     vehicle: Callable[[int], PoolVehicle]
 
 
 def fleet_of(traffic: str, split: str) -> Fleet:
-    """Return the fleet for `StreetOptions.traffic`; the splits share no vehicles. Raises InputError for held-out
-    traffic on split train."""
+    """Return the fleet for a street's option `traffic`. Raises InputError for held-out traffic on split train.
+
+    family: pool of vehicles of the embedded family, see `pool`. wide, held_out: vehicles of the wide family, a
+    different one for each variant; the splits share none. held_out: every second vehicle has an unseen kind.
+    """
     check_traffic(traffic, split)
     if traffic == "family":
         return Fleet(lambda variant: _FAMILY_SLOT_M, functools.partial(pool_vehicle, split))

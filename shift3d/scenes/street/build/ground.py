@@ -15,8 +15,14 @@ CURB_RUN_M = 0.03  # a curb is a slope this wide, so that the ground stays one h
 EXTENT_M = 130.0
 
 
-Wave = tuple[float, float, float, float]
-"""One plane wave of the terrain: amplitude, metres, wave vector along x and y, rad/m, and phase."""
+@dataclass(frozen=True)
+class Wave:
+    """One plane wave of the terrain: amplitude, wave vector (rad/m) and phase."""
+
+    amplitude_m: float
+    kx: float
+    ky: float
+    phase: float
 
 
 @dataclass(frozen=True)
@@ -26,10 +32,16 @@ class Ground:
     Road coordinates (u, v): u along the road, v to its left, v = 0 on its axis; the sensor is at (0, ego_v_m). Scene
     coordinates (x, y): sensor at the origin, x forward; the road has the heading road_heading_rad.
 
-    half_width_m: of the road with its parking lanes. sidewalk_m: width of each sidewalk. curb_m: height of the
-    sidewalks above the road. crossing: (u, half width) of a side road at right angles. lot: (u0, u1, v0, v1) of a paved
-    car park. crown: slope of the road from axis to edge. banks: slope of the terrain beyond the left and right
-    sidewalk. mount_height_m: height of the sensor; the ground under the sensor is at minus this height.
+    Attributes:
+        half_width_m: of the road with its parking lanes.
+        sidewalk_m: width of each sidewalk.
+        curb_m: height of the sidewalks above the road.
+        crossing: (u, half width) of a side road at right angles, or None.
+        lot: (u0, u1, v0, v1) of a paved car park, or None.
+        crown: slope of the road from axis to edge, metres a metre.
+        banks: slope of the terrain beyond the left and right sidewalk, metres a metre.
+        waves: undulation.
+        mount_height_m: height of the sensor; the ground under the sensor is at minus this height.
     """
 
     road_heading_rad: float
@@ -76,8 +88,8 @@ class Ground:
         outside = np.clip(np.abs(v) - self.half_width_m - self.sidewalk_m, 0.0, 25.0)
         outside = np.where(self.paved(u, v, self.sidewalk_m), 0.0, outside)
         height = height + outside * np.where(v > 0, self.banks[0], self.banks[1])
-        for amplitude_m, kx, ky, phase in self.waves:
-            height = height + amplitude_m * np.sin(kx * x + ky * y + phase)
+        for wave in self.waves:
+            height = height + wave.amplitude_m * np.sin(wave.kx * x + wave.ky * y + wave.phase)
         return height
 
     def mesh(self) -> tuple[Float, NDArray[np.int32], NDArray[np.uint8]]:
@@ -130,5 +142,5 @@ def sample_waves(rng: np.random.Generator, strength: float) -> tuple[Wave, ...]:
         angle = rng.uniform(0.0, 2 * np.pi)
         size = strength * amplitude * rng.uniform(0.2, 1.0)
         phase = rng.uniform(0.0, 2 * np.pi)
-        waves.append((float(size), float(k * np.cos(angle)), float(k * np.sin(angle)), float(phase)))
+        waves.append(Wave(float(size), float(k * np.cos(angle)), float(k * np.sin(angle)), float(phase)))
     return tuple(waves)

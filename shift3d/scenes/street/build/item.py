@@ -20,8 +20,12 @@ LABELLED = ("vehicle", "pedestrian", "cyclist")
 class Item:
     """One object.
 
-    kind: "vehicle", or one of `item_geometry.ITEM_GEOMETRY`. x, y: scene frame, metres; heading_rad counter-clockwise
-    from +x. size_m: length, width, height; for a vehicle the reserved slot. variant: selects the instance's details.
+    Attributes:
+        kind: "vehicle", "pedestrian", "cyclist", "building", "pole", "sign", "tree", "wall", "hedge", "fence",
+            "thicket", "bush", "dumpster", "container", "cabinet", "barrier".
+        x, y: scene frame, metres; heading_rad counter-clockwise from +x.
+        size_m: length, width, height; for a vehicle the reserved slot.
+        variant: selects the instance and its details.
     """
 
     kind: str

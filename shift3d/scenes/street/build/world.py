@@ -35,8 +35,10 @@ class PlacedVehicle:
 class World:
     """Geometry of the street, scene frame.
 
-    mesh: the ground and all solid objects except vehicles; material and item: (F,) of its faces. vehicles: in the order
-    of their item numbers. foliage: (item number, leaves). boxes: (7,) of every labelled item, by item number.
+    Attributes:
+        mesh: the ground and all solid objects except vehicles; material and item: (F,) of the mesh's faces.
+        vehicles: in the order of their item numbers. foliage: (item number, leaves).
+        boxes: (7,) of every labelled item, by item number.
     """
 
     mesh: Intersector
@@ -94,7 +96,13 @@ class World:
     def hits_from(
         self, sensor: Sensor, starts: Float, directions: Float, from_m: Float, rng: np.random.Generator
     ) -> Hits:
-        """Compute first hits (N,) of single beams (N, 3) float64 beyond ranges from_m (N,); ranges from the starts."""
+        """Compute first hits of single beams beyond a range.
+
+        Args:
+            starts, directions: (N, 3) float64, scene frame. from_m: (N,) range at which the search starts.
+
+        Returns: Hits of shape (N,), ranges from the starts.
+        """
         begins = starts + from_m[:, None] * directions
         range_m, face, cosine = self.mesh.first_hit(begins.astype(np.float32), directions.astype(np.float32))
         hits = Hits.none(sensor, len(starts))
