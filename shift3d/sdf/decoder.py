@@ -17,8 +17,9 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
+from shift3d.sdf.deepsdf_network import DeepSdfNetwork, NetworkSpecs, parameters_of
 from shift3d.sdf.field import Field
-from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
+from shift3d.sdf.tensors import checked_tensors, without_subnormals
 from shift3d.store.arrays import read_safetensors, write_safetensors
 
 CODE_LENGTH = 256
@@ -34,22 +35,10 @@ class Architecture:
     hidden_layers: int = 8
     skip_layer: int = 4
 
-    def sizes(self) -> list[tuple[int, int]]:
-        """Return (inputs, outputs) of every linear layer; the layer before the skip leaves room for (z, x)."""
-        entry = self.code_length + 3
-        sizes = []
-        for layer in range(self.hidden_layers + 1):
-            inputs = entry if layer == 0 else self.width
-            outputs = 1 if layer == self.hidden_layers else self.width
-            sizes.append((inputs, outputs - entry if layer + 1 == self.skip_layer else outputs))
-        return sizes
-
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of a folded decoder's tensors, by name."""
-        shapes: dict[str, tuple[int, ...]] = {}
-        for layer, (inputs, outputs) in enumerate(self.sizes()):
-            shapes |= {f"layers.{layer}.weight": (outputs, inputs), f"layers.{layer}.bias": (outputs,)}
-        return shapes
+    def specs(self) -> NetworkSpecs:
+        """Return the same network as the original repository describes it."""
+        dims = (self.width,) * self.hidden_layers
+        return NetworkSpecs(self.code_length, dims, latent_in=(self.skip_layer,), weight_norm=True)
 
     def is_valid(self) -> bool:
         """True if the sizes describe a network: integers, a skip between two layers, and enough width for the skip."""
@@ -58,56 +47,33 @@ class Architecture:
         return self.code_length >= 1 and 1 <= self.skip_layer < self.hidden_layers and self.width > self.code_length + 3
 
 
-def parameters_of(layer: nn.Module) -> tuple[Tensor, Tensor]:
-    """Return weight and bias of a linear layer."""
-    weight, bias = layer.weight, layer.bias
-    assert isinstance(weight, Tensor)
-    assert isinstance(bias, Tensor)
-    return weight, bias
-
-
-class Decoder(nn.Module):
+class Decoder(DeepSdfNetwork):
     """DeepSDF decoder as published, weight norm included; `field` returns the fast form for one code."""
 
     def __init__(self, architecture: Architecture | None = None) -> None:
-        super().__init__()
-        self.architecture = architecture or Architecture()
-        self.layers = nn.ModuleList(
-            parametrizations.weight_norm(nn.Linear(inputs, outputs)) for inputs, outputs in self.architecture.sizes()
-        )
-
-    def forward(self, z: Tensor, x_sdf: Tensor) -> Tensor:
-        """Evaluate codes (N, code) and points (N, 3), sdf frame -> signed distances (N,), sdf units.
-
-        Differentiable w.r.t. z, x_sdf and the parameters. Source: Park et al. 2019, section 4 and its supplement.
-        """
-        entry = torch.cat([z, x_sdf], dim=1)
-        hidden = entry
-        for index, layer in enumerate(self.layers):
-            if index == self.architecture.skip_layer:
-                hidden = torch.cat([hidden, entry], dim=1)
-            hidden = layer(hidden)
-            if index < self.architecture.hidden_layers:
-                hidden = torch.relu(hidden)
-        return torch.tanh(hidden[:, 0])
+        architecture = architecture or Architecture()
+        super().__init__(architecture.specs())
+        self.architecture = architecture
+        for layer in self.layers:
+            parametrizations.weight_norm(layer)
 
     def grouped(self, codes: Tensor, points: Tensor, compute_dtype: torch.dtype = torch.float32) -> Tensor:
-        """Evaluate as `forward`, for codes (S, code) with P points each (S, P, 3), sdf frame -> (S, P), codes' dtype.
+        """Evaluate codes (S, code) at P points each (S, P, 3), sdf frame -> signed distances (S, P), sdf units.
 
         Products with z are computed once per shape instead of once per point. Products with the point use the codes'
-        dtype: a bfloat16 coordinate alone would be off by millimetres. The wide layers use `compute_dtype`.
-        Differentiable w.r.t. codes, points and the parameters.
+        dtype, that of the result: a bfloat16 coordinate alone would be off by millimetres. The wide layers use
+        `compute_dtype`. Differentiable w.r.t. codes, points and the parameters.
         """
         shapes, count, _ = points.shape
         x = points.reshape(shapes * count, 3)
         hidden = x
         for index, layer in enumerate(self.layers):
             weight, bias = parameters_of(layer)
-            if index in (0, self.architecture.skip_layer):
-                before, at_z, at_x = self._split(index, weight)
+            if self.specs.reads_code(index):
+                before, at_z, at_x = self._split(weight)
                 entry = (codes @ at_z.T + bias)[:, None] + (x @ at_x.T).reshape(shapes, count, -1)
                 mixed = entry.reshape(shapes * count, -1).to(compute_dtype)
-                hidden = mixed if before is None else mixed + hidden @ before.to(compute_dtype).T
+                hidden = mixed + hidden @ before.to(compute_dtype).T if index else mixed
             elif index == self.architecture.hidden_layers:
                 hidden = nn.functional.linear(hidden.to(codes.dtype), weight, bias)
             else:
@@ -117,46 +83,13 @@ class Decoder(nn.Module):
         return torch.tanh(hidden[:, 0]).reshape(shapes, count)
 
     def field(self, z: Tensor) -> Field:
-        """Return the field of one code (code,), differentiable w.r.t. z. Cheap; call again after every change of z.
-
-        Raises: InputError for a code of another length or with values that are not finite.
-        """
-        if z.shape != (self.architecture.code_length,):
-            raise InputError(f"shape {tuple(z.shape)}", "latent code", f"Give {self.architecture.code_length} values")
-        if not bool(torch.isfinite(z).all()):
-            raise InputError("values that are not finite", where="latent code", remedy="Give a finite code")
-        weights, biases = [], []
-        for index, layer in enumerate(self.layers):
-            weight, bias = parameters_of(layer)
-            if index in (0, self.architecture.skip_layer):
-                before, at_z, at_x = self._split(index, weight)
-                bias = bias + at_z @ z.to(weight.dtype)
-                weight = at_x if before is None else torch.cat([before, at_x], dim=1)
-            weights.append(weight.contiguous())
-            biases.append(bias)
-        return Field(weights, biases, self.architecture.skip_layer)
-
-    def _split(self, index: int, weight: Tensor) -> tuple[Tensor | None, Tensor, Tensor]:
-        entry = self.architecture.code_length + 3
-        before = None if index == 0 else weight[:, :-entry]
-        return before, weight[:, -entry:-3], weight[:, -3:]
+        return Field(*self._folded_for(z), self.architecture.skip_layer)
 
     def folded(self) -> Decoder:
         """Fold weight norm into plain weights, in place, and return self: faster, but not trainable as published."""
         for layer in self.layers:
             if hasattr(layer, "parametrizations"):
                 nn.utils.parametrize.remove_parametrizations(layer, "weight")
-        return self
-
-    def with_code_scale(self, factor: float) -> Decoder:
-        """Rescale to codes `factor` times as long, in place, and return self: the same shapes up to rounding.
-
-        Folded decoders only. Code scaling keeps all shapes, but scales the shape change per gradient step by factor^-2.
-        """
-        with torch.no_grad():
-            for index in (0, self.architecture.skip_layer):
-                weight, _ = parameters_of(self.layers[index])
-                self._split(index, weight)[1].div_(factor)
         return self
 
 
@@ -194,14 +127,8 @@ def _architecture(metadata: dict[str, str], tensors: int, where: str) -> Archite
 
 
 def decoder_from_tensors(tensors: dict[str, torch.Tensor], architecture: Architecture, where: str) -> Decoder:
-    """Build a folded float32 decoder from tensors named `layers.<i>.weight|bias`.
-
-    Raises: InputError naming the tensor that is missing, surplus, of another shape or kind, or not finite; also for
-        weights so large that values would overflow.
-    """
-    tensors = checked_tensors(tensors, architecture.shapes(), where)
-    entry, layers = architecture.code_length + 3, range(architecture.hidden_layers + 1)
-    check_magnitude(tensors, [entry if layer in (0, architecture.skip_layer) else 0 for layer in layers], {}, where)
+    """Build a folded float32 decoder from tensors named `layers.<i>.weight|bias`. Raises: see `checked_tensors`."""
+    tensors = checked_tensors(tensors, architecture.specs(), where)
     decoder = Decoder(architecture).folded()
     decoder.load_state_dict(tensors)
     return decoder.eval().requires_grad_(False)

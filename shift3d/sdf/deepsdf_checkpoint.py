@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import Decoder, decoder_from_tensors
+from shift3d.sdf.decoder import Architecture, decoder_from_tensors
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork, NetworkSpecs
-from shift3d.sdf.tensors import LARGEST_INPUT, check_magnitude, checked_tensors, described, is_plain
+from shift3d.sdf.tensors import LARGEST_INPUT, checked_tensors, described, is_plain
 
 _NETWORK = "deep_sdf_decoder"
 _LAYOUT = "Give a folder in the original DeepSDF layout"
@@ -28,14 +28,12 @@ class DeepSdfCheckpoint:
     """Trained auto-decoder of the original repository.
 
     decoder: folded float32 weights, eval mode, requires_grad False; a `Decoder`, which renders faster, if the network
-    has the published form. codes: (N, code) float32 as trained. instances: N names, in code order. epoch: epoch of the
-    weights according to the file.
+    has the published form. codes: (N, code) float32 as trained. instances: N names, in code order.
     """
 
-    decoder: Decoder | DeepSdfNetwork
+    decoder: DeepSdfNetwork
     codes: Tensor
     instances: tuple[str, ...]
-    epoch: int | None
 
 
 def experiment_file_names(checkpoint: str = "latest") -> tuple[str, str, str]:
@@ -44,10 +42,7 @@ def experiment_file_names(checkpoint: str = "latest") -> tuple[str, str, str]:
 
 
 def experiment_files(folder: Path | str, checkpoint: str = "latest") -> tuple[Path, Path, Path]:
-    """Return the paths of specs.json, the network's weights and the codes of a checkpoint ("latest", or "2000").
-
-    Raises: InputError naming the missing file and the existing checkpoints.
-    """
+    """Return the paths of a checkpoint's files. Raises: InputError naming a missing one and the checkpoints there."""
     specs, weights, codes = (Path(folder) / name for name in experiment_file_names(checkpoint))
     if not specs.is_file():
         raise InputError("no such file", where=str(specs), remedy=_LAYOUT)
@@ -76,7 +71,7 @@ def load_deepsdf_checkpoint(folder: Path | str, checkpoint: str = "latest") -> D
         raise InputError(what, where=str(codes_file), remedy="Give codes and weights of one checkpoint")
     table = _codes(codes, specs.code_length, codes_file)
     names = _instances(values, len(table), specs_file)
-    return DeepSdfCheckpoint(_network(weights, specs, weights_file), table, names, epochs[0])
+    return DeepSdfCheckpoint(_network(weights, specs, weights_file), table, names)
 
 
 def _epoch(content: dict[str, Any], path: Path) -> int | None:
@@ -173,7 +168,16 @@ def _instances(values: dict[str, Any], count: int, path: Path) -> tuple[str, ...
     return names
 
 
-def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decoder | DeepSdfNetwork:
+def _published(specs: NetworkSpecs) -> Architecture | None:
+    """Return the same network as `Architecture`, None unless one width, one skip, no norm, xyz_in_all, use_tanh."""
+    norms = any(specs.normed(layer) for layer in range(specs.layers - 1))
+    alike = len(set(specs.dims)) == 1 and len(specs.latent_in) == 1 and not (norms or specs.xyz_in_all)
+    if not alike or specs.use_tanh or not 0 < specs.latent_in[0] < specs.layers - 1:
+        return None
+    return Architecture(specs.code_length, specs.dims[0], len(specs.dims), specs.latent_in[0])
+
+
+def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> DeepSdfNetwork:
     state = content.get("model_state_dict")
     if not isinstance(state, dict):
         raise InputError("no model_state_dict", where=str(path), remedy=_LAYOUT)
@@ -191,14 +195,12 @@ def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decode
     if left:
         what = f"tensor {min(left)} belongs to another network than specs.json describes"
         raise InputError(what, where=str(path), remedy="Give the specs.json that it was trained with")
-    if architecture := specs.published():
+    if architecture := _published(specs):
         return decoder_from_tensors(tensors, architecture, str(path))
     called = {name: name.replace("layers.", "lin").replace("norms.", "bn") for name in tensors}
-    tensors = checked_tensors(tensors, specs.shapes(), str(path), called)
+    tensors = checked_tensors(tensors, specs, str(path), called)
     network = DeepSdfNetwork(specs).eval().requires_grad_(False)
     network.load_state_dict(tensors)
-    norms = {int(layer): norm for layer, norm in network.norms.items() if isinstance(norm, nn.LayerNorm)}
-    check_magnitude(tensors, specs.entries(), norms, str(path))
     return network
 
 

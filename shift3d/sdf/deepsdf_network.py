@@ -9,12 +9,13 @@ only.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor, nn
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import Architecture, parameters_of
+from shift3d.sdf.field import Field
 
 
 @dataclass(frozen=True)
@@ -34,21 +35,21 @@ class NetworkSpecs:
         """Number of linear layers: hidden layers plus one."""
         return len(self.dims) + 1
 
-    def entry(self, layer: int) -> str:
-        """Return the input of a layer beside the previous layer: "code" (z and x), "point" (x) or "" (nothing)."""
+    def entry(self, layer: int) -> int:
+        """Return the number of inputs of a layer beside the previous layer: of z and x, of x (3), or 0."""
         if layer == 0 or layer in self.latent_in:
-            return "code"
-        return "point" if self.xyz_in_all else ""
+            return self.code_length + 3
+        return 3 if self.xyz_in_all else 0
+
+    def reads_code(self, layer: int) -> bool:
+        """True if z and x are inputs of a layer."""
+        return self.entry(layer) > 3
 
     def size(self, layer: int) -> tuple[int, int]:
         """Return (inputs, outputs) of a linear layer; outputs leave room for the next layer's additional inputs."""
         widths = (self.code_length + 3, *self.dims, 1)
-        outputs = widths[layer + 1]
-        if layer + 1 in self.latent_in:
-            outputs -= widths[0]
-        elif self.xyz_in_all and layer + 1 < self.layers:
-            outputs -= 3
-        return widths[layer], outputs
+        room = self.entry(layer + 1) if layer + 1 < self.layers or layer + 1 in self.latent_in else 0
+        return widths[layer], widths[layer + 1] - room
 
     def normed(self, layer: int) -> bool:
         """True if the network has a layer norm `bn<layer>`."""
@@ -64,27 +65,14 @@ class NetworkSpecs:
                 shapes |= {f"norms.{layer}.weight": (outputs,), f"norms.{layer}.bias": (outputs,)}
         return shapes
 
-    def entries(self) -> list[int]:
-        """Return the number of inputs of each layer beside the previous layer."""
-        count = {"code": self.code_length + 3, "point": 3, "": 0}
-        return [count[self.entry(layer)] for layer in range(self.layers)]
-
-    def published(self) -> Architecture | None:
-        """Return the same network as `Architecture`, None unless one width, one skip, no norm, xyz_in_all, use_tanh."""
-        norms = any(self.normed(layer) for layer in range(self.layers - 1))
-        kinds = len(set(self.dims)) == 1 and len(self.latent_in) == 1 and not (norms or self.xyz_in_all)
-        if not kinds or self.use_tanh or not 0 < self.latent_in[0] < self.layers - 1:
-            return None
-        return Architecture(self.code_length, self.dims[0], len(self.dims), self.latent_in[0])
-
 
 @dataclass(frozen=True)
 class DeepSdfField:
     """g(z, .) of one code; terms that depend on z alone are computed once. Differentiable like `Field`."""
 
     specs: NetworkSpecs
-    weights: tuple[Tensor, ...]
-    biases: tuple[Tensor, ...]
+    weights: list[Tensor]
+    biases: list[Tensor]
     norms: dict[int, nn.Module]
 
     def __call__(self, x_sdf: Tensor) -> Tensor:
@@ -103,7 +91,7 @@ class DeepSdfField:
 
 
 class DeepSdfNetwork(nn.Module):
-    """DeepSDF network with folded weight norm, for the variants that `Decoder` does not support."""
+    """DeepSDF network with folded weight norm; `field` evaluates it for one code."""
 
     def __init__(self, specs: NetworkSpecs) -> None:
         super().__init__()
@@ -113,41 +101,51 @@ class DeepSdfNetwork(nn.Module):
             {str(layer): nn.LayerNorm(specs.size(layer)[1]) for layer in range(specs.layers) if specs.normed(layer)}
         )
 
-    def forward(self, z: Tensor, x_sdf: Tensor) -> Tensor:
-        """Evaluate codes (N, code) at points (N, 3) -> (N,) sdf units. Differentiable w.r.t. both."""
-        entry = torch.cat([z, x_sdf], dim=1)
-        hidden = entry
-        for layer, linear in enumerate(self.layers):
-            extra = self.specs.entry(layer) if layer else ""
-            if extra:
-                hidden = torch.cat([hidden, entry if extra == "code" else x_sdf], dim=1)
-            hidden = linear(hidden)
-            if layer < self.specs.layers - 1:
-                hidden = torch.relu(self.norms[str(layer)](hidden) if self.specs.normed(layer) else hidden)
-        value = torch.tanh(hidden[:, 0])
-        return torch.tanh(value) if self.specs.use_tanh else value
+    def field(self, z: Tensor) -> DeepSdfField | Field:
+        """Return the field of one code (code,), differentiable w.r.t. z. Cheap; call again after every change of z.
 
-    def field(self, z: Tensor) -> DeepSdfField:
-        """Return the field of a code (code,), differentiable. Raises: InputError for a wrong length or NaN or inf."""
-        if z.shape != (self.specs.code_length,) or not bool(torch.isfinite(z).all()):
-            what = f"shape {tuple(z.shape)}, or values that are not finite"
-            raise InputError(what, "latent code", f"Give a finite code of shape ({self.specs.code_length},)")
+        Raises: InputError for a code of another length or with values that are not finite.
+        """
+        norms = {int(layer): norm for layer, norm in self.norms.items() if int(layer) < self.specs.layers - 1}
+        return DeepSdfField(self.specs, *self._folded_for(z), norms)
+
+    def with_code_scale(self, factor: float) -> Self:
+        """Rescale to codes `factor` times as long, in place, and return self: the same shapes up to rounding.
+
+        Folded weights only. Code scaling keeps all shapes, but scales the shape change per gradient step by factor^-2.
+        """
+        with torch.no_grad():
+            for index, layer in enumerate(self.layers):
+                if self.specs.reads_code(index):
+                    self._split(parameters_of(layer)[0])[1].div_(factor)
+        return self
+
+    def _folded_for(self, z: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """Return weights and biases for one code: biases hold the terms of z, weights lack its columns."""
+        if z.shape != (self.specs.code_length,):
+            raise InputError(f"shape {tuple(z.shape)}", "latent code", f"Give {self.specs.code_length} values")
+        if not bool(torch.isfinite(z).all()):
+            raise InputError("values that are not finite", where="latent code", remedy="Give a finite code")
         weights, biases = [], []
-        for layer, linear in enumerate(self.layers):
-            weight, bias = parameters_of(linear)
-            if self.specs.entry(layer) == "code":
-                split = weight.shape[1] - self.specs.code_length - 3
-                bias = bias + weight[:, split:-3] @ z.to(weight.dtype)
-                weight = torch.cat([weight[:, :split], weight[:, -3:]], dim=1)
+        for index, layer in enumerate(self.layers):
+            weight, bias = parameters_of(layer)
+            if self.specs.reads_code(index):
+                before, at_z, at_x = self._split(weight)
+                bias = bias + at_z @ z.to(weight.dtype)
+                weight = torch.cat([before, at_x], dim=1)
             weights.append(weight)
             biases.append(bias)
-        norms = {int(layer): norm for layer, norm in self.norms.items() if int(layer) < self.specs.layers - 1}
-        return DeepSdfField(self.specs, tuple(weights), tuple(biases), norms)
+        return weights, biases
 
-    def with_code_scale(self, factor: float) -> DeepSdfNetwork:
-        """Rescale to codes `factor` times as long, in place, and return self: the same shapes up to rounding."""
-        with torch.no_grad():
-            for layer, linear in enumerate(self.layers):
-                if self.specs.entry(layer) == "code":
-                    parameters_of(linear)[0][:, -self.specs.code_length - 3 : -3].div_(factor)
-        return self
+    def _split(self, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the columns of the previous layer, of z and of x; only for a layer that reads the code."""
+        entry = self.specs.code_length + 3
+        return weight[:, :-entry], weight[:, -entry:-3], weight[:, -3:]
+
+
+def parameters_of(layer: nn.Module) -> tuple[Tensor, Tensor]:
+    """Return weight and bias of a linear layer."""
+    weight, bias = layer.weight, layer.bias
+    assert isinstance(weight, Tensor)
+    assert isinstance(bias, Tensor)
+    return weight, bias

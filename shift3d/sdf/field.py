@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -50,36 +50,33 @@ class Field:
         return Bfloat16Field(self.weights, self.biases, self.skip_layer)
 
     def __call__(self, x_sdf: Tensor) -> Tensor:
-        """Compute the signed distance in sdf units, negative inside.
-
-        Args:
-            x_sdf: points (N, 3), sdf frame, unit-sphere units; cast to the field's dtype.
-        Returns: (N,), in (-1, 1) because of the tanh.
-        """
+        """Compute signed distances (N,), in (-1, 1), negative inside, at points (N, 3), sdf frame, of any dtype."""
         return self._evaluate(x_sdf)
 
     def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Compute values (N,) at points (N, 3), sdf frame, and a bool mask per layer of the units active at any point.
-
-        Not differentiable.
-        """
+        """Compute values (N,) at points (N, 3), and a mask per layer of units active at any. Not differentiable."""
         live: list[Tensor] = []
         with torch.no_grad():
             return self._evaluate(x_sdf, live), live
 
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None = None) -> Tensor:
         """Compute values (N,). `live` receives the masks of `survey`; gradients must then be off."""
-        hidden = x = padded_to_bucket(x_sdf.to(self.dtype), *self.weights, *self.biases)
+        x = padded_to_bucket(x_sdf.to(self.dtype), *self.weights, *self.biases)
+        for layer, output in enumerate(self._outputs(x), 1):
+            if live is not None and layer < len(self.weights):
+                live.append(active_units(output[: len(x_sdf)]))
+        return torch.tanh(output[: len(x_sdf), 0])
+
+    def _outputs(self, x: Tensor) -> Iterator[Tensor]:
+        """Yield the output of each layer at points (N, 3): hidden units after the ReLU, at last the value (N, 1)."""
+        hidden = x
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if layer == self.skip_layer:
                 hidden = torch.cat([hidden, x], dim=1)
             hidden = affine(hidden, weight, bias)
-            if layer == len(self.weights) - 1:
-                break
-            hidden = hidden.relu_()
-            if live is not None:
-                live.append(active_units(hidden[: len(x_sdf)]))
-        return torch.tanh(hidden[: len(x_sdf), 0])
+            if layer < len(self.weights) - 1:
+                hidden = hidden.relu_()
+            yield hidden
 
     def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
         """Return the `LinearRegion` at the starts of lines (N, 3) + k (N, 3), sdf frame. Not differentiable."""
@@ -100,16 +97,9 @@ class Field:
         A unit exactly at its switch counts as off, as in autograd. Costs two evaluations.
         Source: our choice: the paper states the quantity, not its computation.
         """
-        count, x = len(x_sdf), padded_to_bucket(x_sdf.to(self.dtype))
-        last, hidden, units = len(self.weights) - 1, x, []
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            if layer == self.skip_layer:
-                hidden = torch.cat((hidden, x), dim=1)
-            hidden = affine(hidden, weight, bias)
-            if layer < last:
-                hidden = hidden.relu_()
-                units.append(hidden)
-        value = torch.tanh(hidden[:, 0])
+        count, x, last = len(x_sdf), padded_to_bucket(x_sdf.to(self.dtype)), len(self.weights) - 1
+        *units, output = self._outputs(x)
+        value = torch.tanh(output[:, 0])
         at_output = (1.0 - value * value)[:, None]
         at_point, at_bias = torch.zeros_like(x), {}
         for layer in range(last, -1, -1):
@@ -129,7 +119,7 @@ class Field:
         Layers whose bias depends on the code stay whole, so that derivatives by these biases keep their width.
         Renderings request the same units repeatedly, so the last slice is cached.
         """
-        if self._last_slice is None or not _same(live, self._last_slice[0]):
+        if self._last_slice is None or not all(map(torch.equal, live, self._last_slice[0])):
             self._last_slice = live, self._sliced(live)
         return self._last_slice[1]
 
@@ -157,18 +147,11 @@ class Field:
         return Field([w.detach() for w in self.weights], [b.detach() for b in self.biases], self.skip_layer)
 
 
-def _same(live: Sequence[Tensor], other: Sequence[Tensor]) -> bool:
-    return live is other or all(torch.equal(one, two) for one, two in zip(live, other, strict=True))
-
-
-_UNITS = 32
+_UNITS = 32  # libraries compile code for every matrix size, so the number of sizes is kept small: see `pad_to_bucket`
 
 
 def _round_units(live: Tensor) -> Tensor:
-    """Return (n,) ascending indices: the live units, filled up with others until n is a multiple of `_UNITS`.
-
-    Libraries compile code for every matrix size; rounding keeps the number of sizes small, see `pad_to_bucket`.
-    """
+    """Return (n,) ascending indices: the live units, filled up with others until n is a multiple of `_UNITS`."""
     on, off = torch.nonzero(live).squeeze(1), torch.nonzero(~live).squeeze(1)
     missing = min(-len(on) % _UNITS, len(off))
     return torch.cat((on, off[:missing])).sort().values

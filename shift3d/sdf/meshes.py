@@ -18,12 +18,13 @@ def distance_to_surface(points: NDArray[np.float64], mesh: trimesh.Trimesh) -> N
     """Compute distances (N,) from points (N, 3) to the nearest point of a mesh's triangles, in the mesh's unit."""
     import igl
 
-    squared = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(points, np.float64),
-        np.ascontiguousarray(mesh.vertices, np.float64),
-        np.ascontiguousarray(mesh.faces, np.int64),
-    )[0]
+    squared = igl.point_mesh_squared_distance(np.ascontiguousarray(points, np.float64), *triangles(mesh))[0]
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)), np.float64)
+
+
+def triangles(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices (V, 3) and faces (F, 3) as libigl takes them."""
+    return np.ascontiguousarray(mesh.vertices, np.float64), np.ascontiguousarray(mesh.faces, np.int64)
 
 
 def symmetric_chamfer(a: trimesh.Trimesh, b: trimesh.Trimesh, rng: np.random.Generator, count: int = 20_000) -> float:
@@ -76,13 +77,10 @@ def field_on_grid(
     The first grid has at most `coarsest` cells per axis. Each doubling evaluates the nodes whose interpolated value
     allows the surface within a cell. A field close to a distance loses no part that way, however thin.
 
-    Args:
-        field: points (N, 3) float32, sdf frame -> (N,) values.
-        resolution: nodes along each axis, rounded up so that the grid can be doubled.
-        coarsest: cells along each axis of the first grid, all of whose nodes are evaluated.
-        margins: distance from the surface within which nodes are evaluated, at the first doubling and at later ones,
-            in cells of the coarser grid. Half of the default loses parts thinner than a cell, and saves half the time.
-    Returns: values (R, R, R) float32 indexed x, y, z, and the grid spacing in sdf units.
+    field: points (N, 3) float32, sdf frame -> (N,) values. resolution: nodes along each axis, rounded up so that the
+    grid can be doubled. margins: distance from the surface within which nodes are evaluated, at the first doubling and
+    at later ones, in cells of the coarser grid; half of the default loses parts thinner than a cell, and saves half the
+    time. Returns: values (R, R, R) float32 indexed x, y, z, and the grid spacing in sdf units.
     """
     doublings = max(0, int(np.ceil(np.log2(max(resolution - 1, 1) / coarsest))))
     count = -(-(resolution - 1) // 2**doublings) + 1
@@ -97,14 +95,10 @@ def field_on_grid(
 
 
 def extract_mesh(field: PointField, resolution: int = 128) -> trimesh.Trimesh:
-    """Extract the zero surface of a field.
+    """Extract the zero surface of a field: a mesh in the sdf frame, outward normals.
 
-    Args:
-        field: points (N, 3) float32, sdf frame -> (N,) values, negative inside.
-        resolution: grid points along each axis of [-1, 1]^3.
-    Returns: a mesh in the sdf frame, outward normals.
-    Raises: InputError when the field has no surface there (a latent code far off the prior).
-    Differentiable w.r.t.: nothing.
+    field: points (N, 3) float32, sdf frame -> (N,) values, negative inside. resolution: grid points along each axis of
+    [-1, 1]^3. Raises: InputError when the field has no surface there (a latent code far off the prior).
     Source: our choice: the paper is silent; DeepSDF extracts with marching cubes too.
     """
     return zero_surface(*field_on_grid(field, resolution))

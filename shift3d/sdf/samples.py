@@ -9,6 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.sdf.meshes import distance_to_surface, triangles
 
 # Park et al. 2019, supplement: two Gaussian variances about the surface, in units of the unit sphere, which is the
 # bounding sphere enlarged by 3 %.
@@ -18,9 +19,8 @@ SPHERE_MARGIN = 1.03
 
 @dataclass(frozen=True)
 class SdfSamples:
-    """Signed-distance samples of one shape.
+    """Samples of one shape: points (N, 3) float32, sdf frame, unit sphere; distances (N,), negative inside.
 
-    points: (N, 3) float32, sdf frame, unit sphere. distances: (N,) float32, sdf units, negative inside.
     scale_m: metres per sdf unit, so that x_sdf = (x_mesh - centre of the mesh's box) / scale_m.
     """
 
@@ -47,24 +47,22 @@ def winding_number(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArra
     """Compute the winding number (N,) of a closed mesh at points (N, 3): 1 inside, 0 outside; approximate (libigl)."""
     import igl
 
-    vertices, faces = np.ascontiguousarray(mesh.vertices, np.float64), np.ascontiguousarray(mesh.faces, np.int64)
-    return np.asarray(igl.fast_winding_number(vertices, faces, np.ascontiguousarray(points, np.float64)), np.float64)
+    found = igl.fast_winding_number(*triangles(mesh), np.ascontiguousarray(points, np.float64))
+    return np.asarray(found, np.float64)
 
 
 def signed_distance(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the exact signed distance (N,) to a closed mesh, negative inside, in the mesh's unit (libigl).
 
-    The sign comes from pseudonormals. These are undefined for edges with more than two triangles; for such a mesh the
-    sign comes from the winding number.
+    The sign comes from pseudonormals; for a mesh with more than two triangles at an edge from the winding number.
     """
     import igl
 
-    vertices, faces = np.ascontiguousarray(mesh.vertices, np.float64), np.ascontiguousarray(mesh.faces, np.int64)
-    points = np.ascontiguousarray(points, np.float64)
     if mesh.is_watertight:
-        result = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)
+        points = np.ascontiguousarray(points, np.float64)
+        result = igl.signed_distance(points, *triangles(mesh), igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)
         return np.asarray(result[0], np.float64)
-    distance = np.sqrt(np.maximum(igl.point_mesh_squared_distance(points, vertices, faces)[0], 0.0))
+    distance = distance_to_surface(points, mesh)
     return np.asarray(np.where(winding_number(mesh, points) > 0.5, -distance, distance), np.float64)
 
 
@@ -74,12 +72,9 @@ def bounding_scale(mesh: trimesh.Trimesh) -> float:
 
 
 def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> SdfSamples:
-    """Sample the signed distance of a closed mesh.
+    """Sample the signed distance of a closed mesh (`is_closed`), normals outwards, any unit.
 
-    Args:
-        mesh: closed (see `is_closed`), normals outwards, any unit.
-        count: samples: 47 % about the surface at each of the two published variances, 6 % uniform in the unit sphere.
-        rng: the only source of randomness.
+    count: samples: 47 % about the surface at each of the two published variances, 6 % uniform in the unit sphere.
     Raises: InputError when the mesh is not closed: inside and outside are then undefined.
     Source: Park et al. 2019 (SHIFT3D trains its DeepSDF "as the original"); the sphere is centred on the mesh's box.
     """

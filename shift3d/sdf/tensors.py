@@ -6,27 +6,27 @@ matches tensors that were read from the file.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeGuard
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from shift3d.errors import InputError
+from shift3d.sdf.deepsdf_network import NetworkSpecs
 
 LARGEST_INPUT = 100.0
 """Largest absolute value of a code's entries and of coordinates in the unit sphere. Trained codes stay below 1."""
 _LARGEST_VALUE = 1e30
 """Largest absolute value inside a network. float32 ends at 3e38; a sum beyond it is infinite, and the difference of two
-infinities is NaN. Trained decoders reach at most 1e14 by the estimate of `check_magnitude`."""
+infinities is NaN. Trained decoders reach at most 1e14 by the estimate of `_check_magnitude`."""
 _LARGEST_NORMED = 1e18  # before a layer norm, which squares its input
 
 
 def without_subnormals(weight: Tensor) -> Tensor:
-    """Return the weight (any shape) with values below 1e-20 set to zero.
+    """Return the weight (any shape) with values below 1e-20, which weight norm leaves in dead units, set to zero.
 
-    Weight norm leaves tiny values in dead units. They change no sum, but products with them are subnormal numbers,
-    which made a backward pass through the decoder seven times slower (120 ms instead of 17 ms).
+    Products with them made a backward pass through the decoder seven times slower (120 ms instead of 17 ms).
     """
     return torch.where(weight.abs() < 1e-20, torch.zeros_like(weight), weight)
 
@@ -48,19 +48,15 @@ def described(value: Tensor) -> str:
 
 
 def checked_tensors(
-    tensors: Mapping[str, Any],
-    shapes: Mapping[str, tuple[int, ...]],
-    where: str,
-    named: Mapping[str, str] | None = None,
+    tensors: Mapping[str, Any], specs: NetworkSpecs, where: str, named: Mapping[str, str] | None = None
 ) -> dict[str, Tensor]:
     """Check a network's tensors and return them as finite float32 without subnormal values.
 
-    Args:
-        shapes: of all required tensors. where: the file. named: the file's names of tensors, if they differ.
+    Args: where: the file. named: the file's names of tensors, if they differ.
     Raises: InputError naming the file and the tensor that is missing, surplus, not a dense floating-point tensor, of
-        another shape, or not finite in float32.
+        another shape, or not finite in float32; or the layer up to which weights are so large that values overflow.
     """
-    called = dict(named or {})
+    called, shapes = dict(named or {}), specs.shapes()
     if surplus := sorted(set(tensors) - set(shapes)):
         what = f"tensor {called.get(surplus[0], surplus[0])} belongs to another network"
         raise InputError(what, where=where, remedy="Give the weights of one network")
@@ -77,29 +73,21 @@ def checked_tensors(
         if not bool(torch.isfinite(found[name]).all()):
             what = f"tensor {label} holds values that are not finite in float32"
             raise InputError(what, where=where, remedy="Copy it again")
+    _check_magnitude(found, specs, where)
     return found
 
 
-def check_magnitude(
-    tensors: Mapping[str, Tensor], entries: Sequence[int], norms: Mapping[int, nn.LayerNorm], where: str
-) -> None:
-    """Refuse weights with which a value could overflow float32 for some code and point.
-
-    Args:
-        tensors: `layers.<i>.weight|bias`. entries: number of inputs of each linear layer beside the previous layer.
-        norms: layer norms by the layer before them. where: the file.
-    Raises: InputError naming the file and the layer, if some value may exceed 1e30 (1e18 before a layer norm) with
-        inputs of at most LARGEST_INPUT. The estimate is an upper bound: |W| h + |b|, layer by layer, in float64.
-    """
+def _check_magnitude(tensors: Mapping[str, Tensor], specs: NetworkSpecs, where: str) -> None:
+    """Refuse weights with which some value may overflow: an upper bound, |W| h + |b| layer by layer, in float64."""
     hidden = torch.zeros(0, dtype=torch.float64)
-    for index, entry in enumerate(entries):
-        weight, bias = tensors[f"layers.{index}.weight"], tensors[f"layers.{index}.bias"]
-        hidden = torch.cat([hidden, torch.full((entry,), LARGEST_INPUT, dtype=torch.float64)])
-        hidden = weight.double().abs() @ hidden + bias.double().abs()
-        limit = _LARGEST_NORMED if index in norms else _LARGEST_VALUE
+    for index in range(specs.layers):
+        hidden = torch.cat([hidden, torch.full((specs.entry(index),), LARGEST_INPUT, dtype=torch.float64)])
+        weight, bias = (tensors[f"layers.{index}.{part}"].double().abs() for part in ("weight", "bias"))
+        hidden = weight @ hidden + bias
+        limit = _LARGEST_NORMED if specs.normed(index) else _LARGEST_VALUE
         if not float(hidden.max()) <= limit:  # written so that NaN fails
             what = f"the weights up to layer {index} are so large that values overflow"
             raise InputError(what, where=where, remedy="Give the weights as trained")
-        if index in norms:
-            norm = norms[index]
-            hidden = norm.weight.double().abs() * len(hidden) ** 0.5 + norm.bias.double().abs()
+        if specs.normed(index):
+            weight, bias = (tensors[f"norms.{index}.{part}"].double().abs() for part in ("weight", "bias"))
+            hidden = weight * len(hidden) ** 0.5 + bias

@@ -181,7 +181,6 @@ def load_any_experiment(folder: Path) -> Any:
     codes = experiment.codes
     assert codes.dtype == torch.float32 and codes.ndim == 2 and bool(torch.isfinite(codes).all())
     assert len(experiment.instances) == len(codes) and all(isinstance(name, str) for name in experiment.instances)
-    assert experiment.epoch is None or isinstance(experiment.epoch, int)
     assert all(bool(torch.isfinite(p).all()) for p in experiment.decoder.parameters())
     return experiment.instances, [field_values(experiment.decoder, code) for code in codes[:3]]
 
