@@ -16,11 +16,15 @@ CLAMP = 0.1  # distances are clamped to this absolute value, as in training
 
 
 def autodecode(decoder: Decoder, samples: SdfSamples, steps: int = 400, batch: int = 2048, seed: int = 0) -> Tensor:
-    """Find a latent code (code,) float32 that explains samples of a shape, with the decoder's axes.
+    """Find a latent code (code,) float32 that explains the samples.
 
-    steps, batch: Adam on z; the rate falls to a tenth after half the steps, as published (with twice the steps and four
-    times the points). The wide layers run in bfloat16 if the processor supports it natively. seed: of the first
-    code, N(0, 0.01^2), and of the batches. Source: Park et al. 2019, section 4.2 (auto-decoder inference).
+    Args:
+        decoder: frozen decoder; not changed.
+        samples: of the shape, in its own unit sphere and with the decoder's axes.
+        steps, batch: Adam on z; the rate falls to a tenth after half the steps, as published (there with twice the
+            steps and four times the points). The wide layers run in bfloat16 if the processor supports it natively.
+        seed: of the first code, N(0, 0.01^2), and of the batches.
+    Differentiable w.r.t.: nothing. Source: Park et al. 2019, section 4.2 (auto-decoder inference).
     """
     points, distances = torch.from_numpy(samples.points)[None], torch.from_numpy(samples.distances)
     return autodecode_each(decoder, points, distances, steps, batch, seed)[0]
@@ -31,8 +35,11 @@ def autodecode_each(
 ) -> Tensor:
     """Find latent codes (shapes, code) float32 of several shapes at once whose samples share their distances.
 
-    points: (shapes, N, 3) float32, sdf frame, such as one shape's samples in several orientations. distances: (N,)
-    float32, sdf units, negative inside. All shapes get the same first code and the same batches.
+    Args:
+        points: (shapes, N, 3) float32, sdf frame, e.g. one shape's samples in several orientations.
+        distances: (N,) float32, sdf units, negative inside.
+        others: see :func:`autodecode`; all shapes get the same first code and the same batches.
+    Differentiable w.r.t.: nothing.
     """
     compute_dtype = torch.bfloat16 if has_fast_bfloat16() else torch.float32
     source = torch.Generator().manual_seed(derive_seed("autodecode", seed) % 2**63)

@@ -83,6 +83,10 @@ class Decoder(DeepSdfNetwork):
         return torch.tanh(hidden[:, 0]).reshape(shapes, count)
 
     def field(self, z: Tensor) -> Field:
+        """Return the field of one code (code,), differentiable w.r.t. z. Cheap; call again after every change of z.
+
+        Raises: InputError for a code of another length or with values that are not finite.
+        """
         return Field(*self._folded_for(z), self.architecture.skip_layer)
 
     def folded(self) -> Decoder:
@@ -127,7 +131,11 @@ def _architecture(metadata: dict[str, str], tensors: int, where: str) -> Archite
 
 
 def decoder_from_tensors(tensors: dict[str, torch.Tensor], architecture: Architecture, where: str) -> Decoder:
-    """Build a folded float32 decoder from tensors named `layers.<i>.weight|bias`. Raises: see `checked_tensors`."""
+    """Build a folded float32 decoder from tensors named `layers.<i>.weight|bias`.
+
+    Raises: InputError naming the tensor that is missing, surplus, of another shape or kind, or not finite; also for
+        weights so large that values would overflow.
+    """
     tensors = checked_tensors(tensors, architecture.specs(), where)
     decoder = Decoder(architecture).folded()
     decoder.load_state_dict(tensors)

@@ -42,7 +42,10 @@ def experiment_file_names(checkpoint: str = "latest") -> tuple[str, str, str]:
 
 
 def experiment_files(folder: Path | str, checkpoint: str = "latest") -> tuple[Path, Path, Path]:
-    """Return the paths of a checkpoint's files. Raises: InputError naming a missing one and the checkpoints there."""
+    """Return the paths of specs.json, the network's weights and the codes of a checkpoint ("latest", or "2000").
+
+    Raises: InputError naming the missing file and the existing checkpoints.
+    """
     specs, weights, codes = (Path(folder) / name for name in experiment_file_names(checkpoint))
     if not specs.is_file():
         raise InputError("no such file", where=str(specs), remedy=_LAYOUT)

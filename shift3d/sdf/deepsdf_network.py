@@ -91,7 +91,7 @@ class DeepSdfField:
 
 
 class DeepSdfNetwork(nn.Module):
-    """DeepSDF network with folded weight norm; `field` evaluates it for one code."""
+    """DeepSDF network with folded weight norm; `field` evaluates it for one code. `Decoder` is the published form."""
 
     def __init__(self, specs: NetworkSpecs) -> None:
         super().__init__()

@@ -54,7 +54,10 @@ class Field:
         return self._evaluate(x_sdf)
 
     def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Compute values (N,) at points (N, 3), and a mask per layer of units active at any. Not differentiable."""
+        """Compute values (N,) at points (N, 3), sdf frame, and a bool mask per layer of the units active at any point.
+
+        Not differentiable.
+        """
         live: list[Tensor] = []
         with torch.no_grad():
             return self._evaluate(x_sdf, live), live

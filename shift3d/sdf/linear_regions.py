@@ -36,9 +36,12 @@ class LinearRegion:
 def linear_region(
     weights: Sequence[Tensor], biases: Sequence[Tensor], skip_layer: int, x: Tensor, direction: Tensor
 ) -> LinearRegion:
-    """Compute the linear regions at the starts x (N, 3) of N lines x + k direction (N, 3), k >= 0, sdf frame.
+    """Compute the linear regions at the starts of N lines.
 
-    weights, biases: of the folded decoder, see `field.Field`. skip_layer: layer that reads x again.
+    Args:
+        weights, biases: of the folded decoder, see `decoder.Field`. skip_layer: layer that reads x again.
+        x: (N, 3) starts, sdf frame. direction: (N, 3) d x / d k, sdf units per unit of the parameter k >= 0.
+
     A unit exactly at its switch belongs to the region ahead. Costs two evaluations. Not differentiable.
     """
     count, last = len(x), len(weights) - 1

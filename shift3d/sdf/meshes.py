@@ -77,10 +77,13 @@ def field_on_grid(
     The first grid has at most `coarsest` cells per axis. Each doubling evaluates the nodes whose interpolated value
     allows the surface within a cell. A field close to a distance loses no part that way, however thin.
 
-    field: points (N, 3) float32, sdf frame -> (N,) values. resolution: nodes along each axis, rounded up so that the
-    grid can be doubled. margins: distance from the surface within which nodes are evaluated, at the first doubling and
-    at later ones, in cells of the coarser grid; half of the default loses parts thinner than a cell, and saves half the
-    time. Returns: values (R, R, R) float32 indexed x, y, z, and the grid spacing in sdf units.
+    Args:
+        field: points (N, 3) float32, sdf frame -> (N,) values.
+        resolution: nodes along each axis, rounded up so that the grid can be doubled.
+        coarsest: cells along each axis of the first grid, all of whose nodes are evaluated.
+        margins: distance from the surface within which nodes are evaluated, at the first doubling and at later ones,
+            in cells of the coarser grid. Half of the default loses parts thinner than a cell, and saves half the time.
+    Returns: values (R, R, R) float32 indexed x, y, z, and the grid spacing in sdf units.
     """
     doublings = max(0, int(np.ceil(np.log2(max(resolution - 1, 1) / coarsest))))
     count = -(-(resolution - 1) // 2**doublings) + 1
@@ -95,10 +98,14 @@ def field_on_grid(
 
 
 def extract_mesh(field: PointField, resolution: int = 128) -> trimesh.Trimesh:
-    """Extract the zero surface of a field: a mesh in the sdf frame, outward normals.
+    """Extract the zero surface of a field.
 
-    field: points (N, 3) float32, sdf frame -> (N,) values, negative inside. resolution: grid points along each axis of
-    [-1, 1]^3. Raises: InputError when the field has no surface there (a latent code far off the prior).
+    Args:
+        field: points (N, 3) float32, sdf frame -> (N,) values, negative inside.
+        resolution: grid points along each axis of [-1, 1]^3.
+    Returns: a mesh in the sdf frame, outward normals.
+    Raises: InputError when the field has no surface there (a latent code far off the prior).
+    Differentiable w.r.t.: nothing.
     Source: our choice: the paper is silent; DeepSDF extracts with marching cubes too.
     """
     return zero_surface(*field_on_grid(field, resolution))

@@ -19,8 +19,9 @@ SPHERE_MARGIN = 1.03
 
 @dataclass(frozen=True)
 class SdfSamples:
-    """Samples of one shape: points (N, 3) float32, sdf frame, unit sphere; distances (N,), negative inside.
+    """Signed-distance samples of one shape.
 
+    points: (N, 3) float32, sdf frame, unit sphere. distances: (N,) float32, sdf units, negative inside.
     scale_m: metres per sdf unit, so that x_sdf = (x_mesh - centre of the mesh's box) / scale_m.
     """
 
@@ -54,7 +55,8 @@ def winding_number(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArra
 def signed_distance(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the exact signed distance (N,) to a closed mesh, negative inside, in the mesh's unit (libigl).
 
-    The sign comes from pseudonormals; for a mesh with more than two triangles at an edge from the winding number.
+    The sign comes from pseudonormals. These are undefined for edges with more than two triangles; for such a mesh the
+    sign comes from the winding number.
     """
     import igl
 
@@ -72,9 +74,12 @@ def bounding_scale(mesh: trimesh.Trimesh) -> float:
 
 
 def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> SdfSamples:
-    """Sample the signed distance of a closed mesh (`is_closed`), normals outwards, any unit.
+    """Sample the signed distance of a closed mesh.
 
-    count: samples: 47 % about the surface at each of the two published variances, 6 % uniform in the unit sphere.
+    Args:
+        mesh: closed (see `is_closed`), normals outwards, any unit.
+        count: samples: 47 % about the surface at each of the two published variances, 6 % uniform in the unit sphere.
+        rng: the only source of randomness.
     Raises: InputError when the mesh is not closed: inside and outside are then undefined.
     Source: Park et al. 2019 (SHIFT3D trains its DeepSDF "as the original"); the sphere is centred on the mesh's box.
     """

@@ -24,9 +24,10 @@ _LARGEST_NORMED = 1e18  # before a layer norm, which squares its input
 
 
 def without_subnormals(weight: Tensor) -> Tensor:
-    """Return the weight (any shape) with values below 1e-20, which weight norm leaves in dead units, set to zero.
+    """Return the weight (any shape) with values below 1e-20 set to zero.
 
-    Products with them made a backward pass through the decoder seven times slower (120 ms instead of 17 ms).
+    Weight norm leaves tiny values in dead units. They change no sum, but products with them are subnormal numbers,
+    which made a backward pass through the decoder seven times slower (120 ms instead of 17 ms).
     """
     return torch.where(weight.abs() < 1e-20, torch.zeros_like(weight), weight)
 
