@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +23,6 @@ from shift3d.store.log_entries import read_log
 from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import read_table
 from shift3d.sweep.planning.folder import read_plan
-from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.sweep.results.final import write_final
 
 
@@ -133,13 +134,18 @@ def load_log(folder: Path) -> Any:
     return [(entry.kind, entry.done, sorted(entry.segments.items()), sorted(entry.rows.items())) for entry in entries]
 
 
+@functools.cache
+def _valid_spec(text: str) -> Any:
+    return yaml.safe_load(text)
+
+
 def mutate_spec(folder: Path, rng: Rng) -> str:
     path = folder / "spec.yaml"
     how = pick(("text", "values", "values", "harmless"), rng)
-    values = yaml.safe_load(path.read_text())
     if how == "text":
         path.write_bytes(mutate_text(path.read_bytes(), rng))
     else:
+        values = copy.deepcopy(_valid_spec(path.read_text()))
         path.write_text(
             yaml.dump(mutate_values(values, rng) if how == "values" else values, sort_keys=how == "harmless")
         )
@@ -147,9 +153,9 @@ def mutate_spec(folder: Path, rng: Rng) -> str:
 
 
 def load_plan(folder: Path) -> Any:
-    """Load the plan, and check that the folder's spec belongs to it."""
-    spec, found = read_spec(folder), read_plan(folder)
-    assert isinstance(spec["spec_hash"], str) and isinstance(found.sweep, str)
+    """Load the plan, which the folder's spec is a part of."""
+    found = read_plan(folder)
+    assert isinstance(found.spec_hash, str) and isinstance(found.sweep, str)
     assert isinstance(found.settings, dict) and isinstance(found.axes, dict)
     assert found.tasks and all(0 <= task.assets < len(found.assets) for task in found.tasks)
     for task in found.tasks:

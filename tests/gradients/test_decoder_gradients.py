@@ -39,6 +39,12 @@ def hit_beams(decoder: Decoder, code: Tensor, frame: Frame) -> Beams:
     return select(beams, rows)
 
 
+def drawn(at: Tensor) -> Tensor:
+    """Return two random directions."""
+    found = torch.randn(2, len(at), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    return torch.nn.functional.normalize(found, dim=1)
+
+
 def case(shapes: tuple[Decoder, Tensor, Frame], variable: str) -> GradientCase:
     decoder, code, frame = shapes
     beams = hit_beams(decoder, code, frame)
@@ -53,11 +59,10 @@ def case(shapes: tuple[Decoder, Tensor, Frame], variable: str) -> GradientCase:
         return wavy_loss(rendering.points), rendering.hit_mask
 
     if variable == "pose":
-        return GradientCase("pose of the decoder's car", "discontinuous", of_pose, THETA, 1e-6, 1e-3)
+        return GradientCase("pose of the decoder's car", "discontinuous", of_pose, THETA, 1e-6, 1e-3, drawn(THETA))
     leaf = code.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(of_code(leaf)[0], leaf)
-    directions = torch.randn(3, len(code), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    directions = torch.nn.functional.normalize(torch.cat((gradient[None], directions)), dim=1)
+    directions = torch.cat((torch.nn.functional.normalize(gradient[None], dim=1), drawn(code)))
     return GradientCase("code of the decoder's car", "discontinuous", of_code, code, 1e-6, 1e-3, directions)
 
 

@@ -8,13 +8,14 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+PACKED = ("shift3d", "conf", "sweeps", "jobs")
+"""Folders of the repository that the wheel holds."""
 SERVICE = REPOSITORY / "tests" / "service"
 
 # `ray symmetric-run` ends with `ray stop`, which would end every Ray of this machine. The stub lets Ray's own commands
@@ -42,13 +43,11 @@ _COMMANDS = {
 
 
 @contextlib.contextmanager
-def ray_head(
-    dashboard_port: int | None, python: str = sys.executable, path: str = f"{SERVICE}:{REPOSITORY}"
-) -> Iterator[dict[str, str]]:
+def ray_head(dashboard_port: int, python: Path, modules: Path) -> Iterator[dict[str, str]]:
     """Run a head with room for eight workers. Yields the environment in which a launch spec's commands find it.
 
-    dashboard_port: None: no dashboard, and no Jobs API. python: of the machines. path: module folders of the machines,
-    for modules that are not installed.
+    dashboard_port: of the dashboard, which serves the Jobs API. python: of the machines. modules: folder of modules
+    that are not installed there.
     """
     folder = Path(tempfile.mkdtemp(prefix="s3d-"))  # short, because Ray puts sockets there
     driver = _DRIVER.format(python=python, driver=SERVICE / "driver.py")
@@ -58,18 +57,17 @@ def ray_head(
     environment = {
         **os.environ,
         "PATH": f"{folder}:{os.environ['PATH']}",
-        "PYTHONPATH": path,
+        "PYTHONPATH": str(modules),
         "OMP_NUM_THREADS": "1",
+        "SHIFT3D_TEST_SECONDS": "0.1",  # long enough that every worker runs tasks
         "SHIFT3D_TEST_TOKEN": os.environ["RAY_AUTH_TOKEN"],
         "RAY_USAGE_STATS_ENABLED": "0",
         "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # 127.0.0.1 stays 127.0.0.1
     }
-    command = [python, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--port=0", "--num-cpus=8"]
+    command = [str(python), "-m", "ray.scripts.scripts", "start", "--head", "--block", "--port=0", "--num-cpus=8"]
     command += ["--node-ip-address=127.0.0.1", f"--temp-dir={folder}", "--object-store-memory=100000000"]
     command += ["--no-monitor", "--include-log-monitor=false"]  # for an autoscaler, and for drivers that want logs
-    # The dashboard serves the Jobs API.
-    command += [f"--include-dashboard={'true' if dashboard_port else 'false'}", "--dashboard-host=127.0.0.1"]
-    command += [f"--dashboard-port={dashboard_port}"] if dashboard_port else []
+    command += ["--include-dashboard=true", "--dashboard-host=127.0.0.1", f"--dashboard-port={dashboard_port}"]
     # Jobs need an agent, and another Ray of this machine may use Ray's default port for it.
     command += [f"--dashboard-agent-listen-port={_free_port()}"]
     log = folder / "start.log"

@@ -1,4 +1,7 @@
-"""Launch specs on a real head start the same sweep: its bytes equal those of an in-process run."""
+"""Launch specs on a real head start the same sweep: its bytes equal those of an in-process run.
+
+The machines have shift3d from its wheel alone.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,15 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import yaml
 from jobs.ray_head import SERVICE, ray_head
 from service.drivers import DETERMINISTIC, Drivers
 
 JOBS = Path(__file__).resolve().parents[2] / "jobs"
-WORDS = ("scenes.count=1", "tracking=none")
-ON_RAY = "runner.workers=1"
+WORDS = ("scenes.count=4", "tracking=none")
+WORKERS = {"slurm": 2, "job": 1}
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +30,8 @@ def dashboard_port() -> int:
 
 
 @pytest.fixture(scope="module")
-def environment(dashboard_port: int) -> Iterator[dict[str, str]]:
-    with ray_head(dashboard_port) as found:
+def environment(dashboard_port: int, python: Path) -> Iterator[dict[str, str]]:
+    with ray_head(dashboard_port, python, SERVICE) as found:
         yield found
 
 
@@ -39,11 +43,14 @@ def job_of(folder: Path, dashboard_port: int) -> Path:
 
 
 def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
-    """Return commands for a small sweep by Slurm and the Jobs API; job=ray_cluster: see test_installed_wheel."""
-    words = f"mine {shlex.join(WORDS)} {ON_RAY}"
+    """Return commands for a small sweep by Slurm, whose script gives job=ray_cluster, and by the Jobs API."""
+    start = {
+        "slurm": f"bash {JOBS / 'slurm.sbatch'}",
+        "job": f"shift3d sweep job={job_of(folder, dashboard_port)}",
+    }
+    words = f"mine {shlex.join(WORDS)}"
     return {
-        "slurm": f"bash {JOBS / 'slurm.sbatch'} {words} out={folder / 'slurm'}",
-        "job": f"shift3d sweep {words} job={job_of(folder, dashboard_port)} out={folder / 'job'}",
+        name: f"{command} {words} runner.workers={WORKERS[name]} out={folder / name}" for name, command in start.items()
     }
 
 
@@ -75,6 +82,8 @@ def test_every_spec_starts_the_same_sweep(
     for name, process in running.items():
         output, _ = process.communicate(timeout=240)
         assert process.returncode == 0, f"{name}: {output[-3000:]}"
+        attempts = pd.read_parquet(tmp_path / name / "final" / "attempts.parquet")
+        assert attempts["worker"].nunique() == WORKERS[name]
     found = {
         name: {table: (tmp_path / name / "final" / f"{table}.parquet").read_bytes() for table in DETERMINISTIC}
         for name in ("here", *running)

@@ -61,7 +61,7 @@ def ended_well(result: AttackResult, problem: AttackProblem) -> None:
         assert result.best.valid and math.isfinite(result.best.loss)
 
 
-@few(7)
+@few(5)
 @given(weight=WEIGHTS, alpha=WEIGHTS)
 @EITHER
 def test_the_shape_attack_ends(name: str, weight: float, alpha: float) -> None:
@@ -77,7 +77,7 @@ def test_the_shape_attack_ends(name: str, weight: float, alpha: float) -> None:
         assert cold == pytest.approx(warm[0], rel=0.01)
 
 
-@few(7)
+@few(5)
 @given(alpha=WEIGHTS)
 @EITHER
 def test_the_pose_attack_ends_within_its_limits(name: str, alpha: float) -> None:

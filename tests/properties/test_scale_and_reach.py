@@ -23,7 +23,7 @@ def scaled(frame: Frame, factor: float) -> Frame:
     return replace(frame, scale_m=frame.scale_m * factor, size_m=tuple(edge * factor for edge in frame.size_m))
 
 
-@few(20)
+@few(10)
 @given(factor=st.floats(0.25, 2.5), theta=poses())
 @PRESETS
 def test_a_scaled_sphere_is_where_geometry_puts_it(name: str, factor: float, theta: Tensor) -> None:

@@ -15,7 +15,10 @@ from shift3d.cli.main import main
 def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every evaluation of the file is a full pass: the test runs one task with the fewest evaluations of its search."""
+    """Every evaluation of the file is a full pass: the test runs one task with the fewest evaluations of its search.
+
+    tests/unit/settings/test_compiled.py compares a sweep's file with its original.
+    """
     monkeypatch.chdir(tmp_path)
     assert main(["compile", "detector=pointpillars", "to=pp.onnx"]) == 0
     within = re.search(r"pp\.onnx: .* scores within (\S+) of pointpillars's", capsys.readouterr().out)
@@ -23,7 +26,6 @@ def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(
     words = [
         "detector=onnx",
         "detector.file=pp.onnx",
-        "detector.original=pointpillars",
         "attack.random_replicates=0",
         "attack.steps=1",
         "vehicle=coupe",
@@ -36,7 +38,9 @@ def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(
     assert main(["sweep", "smoke", *words]) == 2 and "attack.search=evolution" in capsys.readouterr().err
     assert main(["sweep", "smoke", *words, "attack.search=evolution"]) == 0
     printed = "".join(capsys.readouterr())
-    assert "pp.onnx: scores are those of pointpillars within" in printed
+    assert "pp.onnx: scores are compared with no original" in printed, (
+        "tests/unit/settings/test_compiled.py compares with one"
+    )
     scores = pd.read_parquet(tmp_path / "mine" / "final" / "scores.parquet")
     assert set(scores["detector"]) == {"onnx"} and set(scores["scored_by"]) == {"onnx", "pointpillars"}
     assert set(scores["method"]) == {"baseline", "adversarial"}

@@ -17,7 +17,9 @@ from shift3d.cli.main import main
 
 WORDS = ("finetune", "scenes.count=1", "scenes.sensor=hdl64", "scenes.traffic=family", "vehicle=suv", "others=kei_car",
          "attack.steps=1", "accuracy.render.sdf_grid=false", "seeds=0", "streets=1", "runner=local", "tracking=none",
-         "rate=1e-3")  # fmt: skip
+         "rate=1e-3", "detector=sst_small", "attack.placement.min_range_m=38",
+         "attack.placement.min_object_points=50")  # fmt: skip
+"""The smallest detector (test_tune.py tunes PointPillars), and vehicles that few beams meet."""
 
 
 def killed_when(file: Path, out: Path) -> None:
@@ -46,8 +48,8 @@ def test_killed_in_its_training_and_resumed_it_gives_the_same_table(
     tuned, alone = out / "finetuned-rate1e-3-0", tmp_path / "alone"
     words = [f"finetune={out / 'attacked'}", "method=adversarial", "start_from=shipped", "recipe.seed=0"]
     words += ["recipe.peak_rate=1e-3", "threads=1", "mlflow=none", f"out={alone}"]
-    assert main(["train", "model=pointpillars", *words]) == 0
-    assert (alone / "pointpillars.safetensors").read_bytes() == (tuned / "pointpillars.safetensors").read_bytes()
+    assert main(["train", "model=sst_small", *words]) == 0
+    assert (alone / "sst_small.safetensors").read_bytes() == (tuned / "sst_small.safetensors").read_bytes()
     table = (out / "finetune.parquet").read_bytes()
     (out / "finetune.parquet").unlink()
     assert main([*WORDS, f"out={out}"]) == 0, "what is done is not done again"
@@ -56,5 +58,5 @@ def test_killed_in_its_training_and_resumed_it_gives_the_same_table(
     assert set(rows["objects"].dropna()) == {"baseline", "adversarial", "adversarial_adaptive"}
     assert set(rows["scene_set"]) == {"held_out", "other_vehicles", "natural"}
     assert (rows[rows["model"] == "finetuned"]["gain"].abs() > 0).any()
-    facts = json.loads((out / "finetuned-rate1e-3-0" / "pointpillars.json").read_text())
+    facts = json.loads((out / "finetuned-rate1e-3-0" / "sst_small.json").read_text())
     assert facts["finetuned_on"]["objects"] == 1 and facts["rate"] == 1e-3
