@@ -113,15 +113,6 @@ def _taps(outputs: int, stride: int) -> tuple[slice, slice, slice]:
     return slice(0, last, stride), slice(1, last + 1, stride), slice(2, last + 2, stride)
 
 
-def contains(outer: BevWindow, inner: BevWindow) -> bool:
-    return (
-        outer.x0 <= inner.x0
-        and outer.y0 <= inner.y0
-        and inner.x0 + inner.num_x <= outer.x0 + outer.num_x
-        and inner.y0 + inner.num_y <= outer.y0 + outer.num_y
-    )
-
-
 class PointCells:
     """Points of the current frame and their cells in the cached window.
 

@@ -18,28 +18,27 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.incremental.activation_cache import ActivationCache
-from shift3d.detectors.incremental.active_sites import CellIndices, CellMask, PointCells, contains, empty_mask
-from shift3d.detectors.incremental.inference import deepcopy_sharing
+from shift3d.detectors.incremental.active_sites import CellIndices, CellMask, PointCells, empty_mask
+from shift3d.detectors.incremental.inference import CachedInference, Plain
 from shift3d.detectors.incremental.sparse_backbone import SparseBackbone, SparseBackward
 from shift3d.detectors.models.pillar_detectors import PillarBackboneNet
 
-Plain = Callable[[Tensor, BevWindow], Proposals]
 Boxed = Callable[[Tensor, Tensor, BevWindow], Proposals]
 _Rectangle = tuple[int, int, int, int]
 
 
-class IncrementalPillars:
-    """Incremental inference of a pillar detector. Not for use from several threads at once."""
+class IncrementalPillars(CachedInference):
+    """Incremental inference of a pillar detector. Not differentiable twice.
+
+    net: for inference. cells: backbone of `net` as matrices. boxed: (logits, outputs of the box layers, window) ->
+    proposals.
+    """
 
     def __init__(
         self, net: PillarBackboneNet, cells: SparseBackbone, window: BevWindow, plain: Plain, boxed: Boxed
     ) -> None:
-        """Set up the cache of a window.
-
-        net: for inference. cells: backbone of `net` as matrices. plain: proposals without cache, for windows beyond the
-        cached one. boxed: (logits, outputs of the box layers, window) -> proposals.
-        """
-        self._net, self._cells, self._window, self._plain, self._boxed = net, cells, window, plain, boxed
+        super().__init__(window, cells.exact, plain, net, cells, boxed)
+        self._net, self._cells, self._boxed = net, cells, boxed
         self._points = PointCells(net.grid, window, cells.exact)
         self._shape = self._points.shape
         self._cache = ActivationCache(cells, self._shape)
@@ -52,19 +51,8 @@ class IncrementalPillars:
         stride = net.spec.total_strides[-1]
         return all(span % stride == 0 for span in (window.x0, window.y0, window.num_x, window.num_y))
 
-    def proposals(
-        self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
-    ) -> Proposals:
-        """See `IncrementalInference`. A window that extends beyond the cached one is computed without the cache.
-
-        Deterministic bit for bit for the same sequence of calls; other earlier calls may change the rounding. Not
-        differentiable twice.
-        """
-        window = window or self._window
-        if points.ndim != 2 or points.shape[1] != 3 or not contains(self._window, window):
-            return self._plain(points, window)
+    def _cached(self, points: Tensor, window: BevWindow, requires_grad: Tensor | None) -> Proposals:
         core = self._look_at(window)
-        points = points.to(self._cells.exact)
         tracked = torch.is_grad_enabled() and points.requires_grad
         with torch.no_grad():
             due = self._cache.due(self._points.changed(points.detach()), self._needed[0])
@@ -79,9 +67,6 @@ class IncrementalPillars:
             sparse = self._cache.backward(grad_cells, self._needed, self._outputs)
             logits = _AttachGradient.apply(features, logits, sparse, cells, core)  # type: ignore[no-untyped-call]
         return self._boxed(logits, rows, window)
-
-    def fork(self) -> IncrementalPillars:
-        return deepcopy_sharing(self, self._net, self._cells, self._plain, self._boxed)
 
     def _look_at(self, window: BevWindow) -> _Rectangle:
         """Set the output cells to the window's core. Return the core (y0, x0, height, width) in output cells."""

@@ -8,7 +8,6 @@ tokens that depend on a point with a gradient carry one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,15 +19,12 @@ from shift3d.detectors.incremental.active_sites import (
     CellIndices,
     CellMask,
     PointCells,
-    contains,
     empty_mask,
     full_mask,
 )
-from shift3d.detectors.incremental.inference import deepcopy_sharing
+from shift3d.detectors.incremental.inference import CachedInference, Plain
 from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.models.token_windows import Tokens
-
-Plain = Callable[[Tensor, BevWindow], Proposals]
 
 
 @dataclass(frozen=True)
@@ -67,16 +63,15 @@ def _owners(first: int, count: int, size: int, shift: int) -> CellIndices:
     return np.asarray(owner - owner[0], dtype=np.int64)
 
 
-class IncrementalTokens:
-    """Incremental inference of SST. Not for use from several threads at once."""
+class IncrementalTokens(CachedInference):
+    """Incremental inference of SST.
+
+    net: for inference. exact: dtype of points and tokens. answer: (features of the core, its window) -> proposals.
+    """
 
     def __init__(self, net: SstNet, window: BevWindow, exact: torch.dtype, plain: Plain, answer: Plain) -> None:
-        """Set up the cache of a window.
-
-        net: for inference. exact: dtype of points and tokens. plain: proposals without cache, for windows beyond the
-        cached one. answer: (features of the core, its window) -> proposals.
-        """
-        self._net, self._window, self._exact, self._plain, self._answer = net, window, exact, plain, answer
+        super().__init__(window, exact, plain, net, answer)
+        self._net, self._answer = net, answer
         self._points = PointCells(net.grid, window, exact)
         transformer = net.spec.transformer
         self._lattices = [_WindowLattice(window, transformer.window, shift) for shift in transformer.shifts]
@@ -87,18 +82,8 @@ class IncrementalTokens:
         self._tables = [torch.zeros(0, transformer.width, dtype=exact) for _ in self._stale]
         self._rows_taken = 0
 
-    def proposals(
-        self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
-    ) -> Proposals:
-        """See `IncrementalInference`. A window that extends beyond the cached one is computed without the cache.
-
-        Deterministic bit for bit for the same sequence of calls; other earlier calls may change the rounding.
-        """
-        window = window or self._window
-        if points.ndim != 2 or points.shape[1] != 3 or not contains(self._window, window):
-            return self._plain(points, window)
+    def _cached(self, points: Tensor, window: BevWindow, requires_grad: Tensor | None) -> Proposals:
         needed = self._needed(window)
-        points = points.to(self._exact)
         changed = self._points.changed(points.detach())
         held = self._points.cells()
         self._take_rows(np.flatnonzero(held))
@@ -110,9 +95,6 @@ class IncrementalTokens:
         cells = np.flatnonzero(needed[-1] & held)
         features = self._read(-1, cells, flow)
         return self._answer(self._net.core_features(features, self._tokens(cells), [window]), window)
-
-    def fork(self) -> IncrementalTokens:
-        return deepcopy_sharing(self, self._net, self._plain, self._answer)
 
     def _needed(self, window: BevWindow) -> list[CellMask]:
         """Return the cells that the window's core depends on: of the encoder, then of every layer."""

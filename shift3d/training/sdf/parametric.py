@@ -19,7 +19,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import Architecture, Decoder, load_decoder, parameters_of
+from shift3d.sdf.decoder import Architecture, Decoder, load_decoder
+from shift3d.sdf.deepsdf_network import parameters_of
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import derive_seed, generator
 from shift3d.training.checkpoints import read_checkpoint
