@@ -8,6 +8,7 @@ norms keep the statistics of the start, so that a rate of 0 leaves the detector 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -39,9 +40,10 @@ from shift3d.training.provenance import read_provenance, write_provenance
 
 
 def objects_digest(found: SweepObjects) -> str:
-    """Return a 64-bit hex digest of the identities of the objects."""
-    text = "\n".join(f"{task} {method} {replicate}" for task, method, replicate in (row.key for row in found.objects))
-    return hashlib.blake2b(f"{found.plan.spec_hash}\n{text}".encode(), digest_size=8).hexdigest()
+    """Return a 64-bit hex digest of the objects: their tasks, codes and poses."""
+    solutions = [json.dumps([row.key, row.solution], sort_keys=True) for row in found.objects]
+    text = "\n".join([found.plan.spec_hash, *solutions])
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def object_scenes(folder: Path, found: SweepObjects) -> list[Path]:

@@ -143,6 +143,11 @@ def _written_out(setting: FrontierSettingConfig, where: str) -> list[FrontierSet
         raise InputError(f"{setting.name!r} has no place for {knob}", where=where, remedy=remedy)
     written = []
     for value in values:
+        if knob == _CROP and not value > 0:
+            what = f"crop_m is {value:g} in {setting.name!r}"
+            raise InputError(
+                what, where, "Give radii above 0, or a setting of its own with crop_m: null, the whole scene"
+            )
         changes = {"name": setting.name.replace("{}", f"{value:g}"), "over": {knob: [value]}}
         whole = value == int(value) and isinstance(getattr(STANDARD, knob, None), int)
         plain = int(value) if whole else value

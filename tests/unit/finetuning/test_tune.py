@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,9 @@ from shift3d.cli.commands import sweep
 from shift3d.cli.commands.detectors import evaluate, train
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
-from shift3d.finetuning.objects import stable_objects
+from shift3d.finetuning.objects import scored_objects, stable_objects
 from shift3d.finetuning.rescoring import attacked_scores, rescore_objects
-from shift3d.finetuning.tune import RATE, object_scenes, tuning_recipe
+from shift3d.finetuning.tune import RATE, object_scenes, objects_digest, tuning_recipe
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.tables import read_table, table_from_rows, write_table
@@ -59,6 +60,19 @@ def test_every_detector_is_tuned_at_one_pace_on_shapes_in_their_own_proportions(
     recipes = [tuning_recipe(name, 10, TrainOptions(tmp_path)) for name in RECIPES]
     assert {(recipe.batch, recipe.peak_rate, recipe.seed, recipe.steps) for recipe in recipes} == {(2, RATE, 0, 10)}
     assert {recipe.augmentation.object_stretch for recipe in recipes} == {(1.0, 1.0)}
+
+
+def test_objects_of_other_codes_or_poses_are_other_objects(_attacked: Path) -> None:
+    """The same sweep run by another version gives the same tasks: their scenes and checkpoints must not be reused."""
+    found = scored_objects(_attacked, "pointpillars", ("adversarial",))
+    row = found.objects[0]
+    digests = {objects_digest(found)}
+    for name in ("latent_code", "yaw_rad"):
+        value = row.solution[name]
+        other = [*value[:-1], np.nextafter(value[-1], 9.0)] if isinstance(value, list) else np.nextafter(value, 9.0)
+        moved = replace(row, solution={**row.solution, name: other})
+        digests.add(objects_digest(replace(found, objects=(moved, *found.objects[1:]))))
+    assert len(digests) == 3 and objects_digest(found) in digests
 
 
 def test_provenance_names_the_sweep_its_rows_and_what_was_left_out(_attacked: Path, weights: Path) -> None:

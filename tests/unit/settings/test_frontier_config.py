@@ -178,6 +178,7 @@ def test_whole_numbers_are_given_over_a_setting_that_counts() -> None:
         ({"over": {"step_m": [0.1, 0.2]}}, "no place for step_m"),
         ({"name": "{}", "over": {"max_iterations": [20.6]}}, r"max_iterations is 20\.6, not int"),
         ({"name": "{}", "over": {"step_m": []}}, "at least 1 item"),
+        ({"name": "{} m", "over": {"crop_m": [8, 0]}}, "crop_m is 0 in '{} m'. Give radii above 0"),
         ({"name": "{}", "over": {"step_m": [0.1], "batch": [1]}}, "at most 1 item"),
         ({"warm": "yes"}, "One of: no, shape, pose"),
         ({"gradient": "both"}, "One of: no, shape, pose"),
