@@ -58,8 +58,10 @@ def current_entry(values: Values, where: str) -> Values:
 
 def current_table(name: str, table: pa.Table, version: str, where: str) -> pa.Table:
     """Migrate the table `name`, except its metadata. Raises as `current_entry`."""
-    names = SCHEMAS[name].names
-    for number in older_versions(int(version) if version.isdecimal() else version, where):
+    names, older = SCHEMAS[name].names, older_versions(int(version) if version.isdecimal() else version, where)
+    if not older:
+        return table
+    for number in older:
         table = table.drop_columns([column for column in _DROPPED.get(number, ()) if column in table.column_names])
         for column, value in _ADDED.get(number, {}).items():
             if column in names and column not in table.column_names:
