@@ -101,6 +101,22 @@ class DeepSdfNetwork(nn.Module):
             {str(layer): nn.LayerNorm(specs.size(layer)[1]) for layer in range(specs.layers) if specs.normed(layer)}
         )
 
+    def forward(self, z: Tensor, x_sdf: Tensor) -> Tensor:
+        """Evaluate codes (N, code) at points (N, 3), sdf frame -> signed distances (N,), sdf units: the plain form.
+
+        Differentiable w.r.t. z, x_sdf and the parameters. Source: Park et al. 2019, section 4 and its supplement.
+        """
+        entry = torch.cat([z, x_sdf], dim=1)
+        hidden = entry
+        for layer, linear in enumerate(self.layers):
+            if layer and (more := self.specs.entry(layer)):
+                hidden = torch.cat([hidden, entry[:, -more:]], dim=1)
+            hidden = linear(hidden)
+            if layer < self.specs.layers - 1:
+                hidden = torch.relu(self.norms[str(layer)](hidden) if self.specs.normed(layer) else hidden)
+        value = torch.tanh(hidden[:, 0])
+        return torch.tanh(value) if self.specs.use_tanh else value
+
     def field(self, z: Tensor) -> DeepSdfField | Field:
         """Return the field of one code (code,), differentiable w.r.t. z. Cheap; call again after every change of z.
 

@@ -28,19 +28,10 @@ def test_published_sizes() -> None:
     assert len(sizes) == 9
 
 
-def evaluate(decoder: Decoder, code: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-    """Evaluate the decoder as Park et al. 2019 write it: z and x in every row, nothing folded."""
-    hidden = entry = torch.cat([code.expand(len(x), -1), x], dim=1)
-    for index, layer in enumerate(decoder.layers):
-        hidden = layer(torch.cat([hidden, entry], dim=1) if index == SMALL.skip_layer else hidden)
-        hidden = hidden.relu() if index < SMALL.hidden_layers else hidden.tanh()
-    return hidden[:, 0]
-
-
 def test_field_grouped_and_plain_evaluation_agree() -> None:
     decoder = small().double()
     codes, points = torch.randn(3, 5, dtype=torch.float64), torch.randn(3, 7, 3, dtype=torch.float64)
-    plain = torch.stack([evaluate(decoder, codes[i], points[i]) for i in range(3)])
+    plain = torch.stack([decoder(codes[i].expand(7, -1), points[i]) for i in range(3)])
     grouped = decoder.grouped(codes, points, torch.float64)
     fields = torch.stack([decoder.field(codes[i])(points[i]) for i in range(3)])
     assert torch.allclose(plain, grouped, atol=1e-14)

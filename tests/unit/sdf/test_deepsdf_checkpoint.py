@@ -107,6 +107,7 @@ def test_values_are_the_original_networks(tmp_path: Path, variant: str) -> None:
     with torch.no_grad():
         expected = model(entry)
         assert expected.std() > 0.01
+        assert decoder(entry[:, :CODE], x).sub(expected).abs().max() <= 1e-7
         assert decoder.field(codes[2])(x).sub(expected).abs().max() <= 1e-6
         counterpart = decoder.double().field(codes[2].double())(x.double())
         assert counterpart.sub(model.double()(entry.double())).abs().max() < 1e-7  # the folding alone is float32
