@@ -13,9 +13,10 @@ from pathlib import Path
 import torch
 
 from shift3d.accuracy_time.cases import Case, place_case
+from shift3d.accuracy_time.journal import Journal
 from shift3d.accuracy_time.measure import CaseMeasurer
 from shift3d.accuracy_time.rows import CaseResults
-from shift3d.accuracy_time.run import Journal, ProgressCallback, RepeatLimits, expected_seconds, measure_case
+from shift3d.accuracy_time.run import ProgressCallback, RepeatLimits, expected_seconds, measure_case
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import machine
 from shift3d.accuracy_time.truth import Truth, make_truth, read_truth, write_truth

@@ -67,8 +67,12 @@ def _row(setting: Setting, scenes: str, cases: Sequence[CaseResults]) -> Row:
     times = np.array([np.percentile(result.samples_ms, (25, 50, 75)) for result in results]).mean(0)
     return {
         "setting": setting.name,
-        **{name: getattr(setting, name) for name in ("method", "knob", "knob_name", "preset", "grid")},
+        "method": setting.method,
+        "knob": setting.knob,
+        "knob_name": setting.knob_name,
+        "preset": setting.preset,
         "start": "cold" if setting.warm == "no" else "warm",
+        "grid": setting.grid,
         "gradient": setting.variable,
         "scenes": scenes,
         "renders": len(outcomes),

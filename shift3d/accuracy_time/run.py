@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
+from shift3d.accuracy_time.journal import Journal
 from shift3d.accuracy_time.measure import CaseMeasurer, Outcome
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import interleaved_samples, num_further_timings
-from shift3d.store.atomic import write_atomic
 
 ProgressCallback = Callable[[str, float, bool], None]
 """Progress callback: name of the measurement, its expected seconds when done (else 0), True if already known."""
@@ -41,38 +38,6 @@ class CaseResult:
     steps: tuple[Outcome, ...]
     samples_ms: tuple[float, ...]
     attack: Outcome | None = None
-
-
-class Journal:
-    """Append-only file of a case's measurements by name, one JSON line each.
-
-    Opening the journal drops a last line that a kill left incomplete; the run measures its value again.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
-        whole = [line for line in lines if line.endswith(b"\n")]
-        self._values: dict[str, Any] = dict(map(json.loads, whole))
-        if len(whole) != len(lines):
-            write_atomic(path, b"".join(whole))
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._values
-
-    def __getitem__(self, name: str) -> Any:
-        return self._values[name]
-
-    def put(self, name: str, value: Any) -> None:
-        """Append a value of plain numbers, texts, lists and dictionaries, synchronized to disk."""
-        line = json.dumps([name, value], allow_nan=False) + "\n"
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("ab") as file:
-            file.write(line.encode())
-            file.flush()
-            os.fsync(file.fileno())
-        # The parsed line, so that a resumed run equals an uninterrupted one.
-        self._values[name] = json.loads(line)[1]
 
 
 def measure_case(

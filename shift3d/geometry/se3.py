@@ -41,6 +41,7 @@ def object_from_scene(points: Tensor, pose: Tensor) -> Tensor:
 
     Differentiable with respect to both arguments. Source: SHIFT3D supplement, Pose Transformation.
     """
+    # Row vectors: (R^T v)^T = v^T R.
     return (points - pose[:3]) @ scene_R_object(pose)
 
 

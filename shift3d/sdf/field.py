@@ -50,7 +50,10 @@ class Field:
         return Bfloat16Field(self.weights, self.biases, self.skip_layer)
 
     def __call__(self, x_sdf: Tensor) -> Tensor:
-        """Compute signed distances (N,), in (-1, 1), negative inside, at points (N, 3), sdf frame, of any dtype."""
+        """Compute signed distances (N,), sdf units, negative inside, in (-1, 1) because of the tanh.
+
+        x_sdf: points (N, 3), sdf frame, unit-sphere units; cast to the field's dtype.
+        """
         return self._evaluate(x_sdf)
 
     def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:

@@ -31,15 +31,23 @@ def _ids_as_text(values: Values) -> Values:
 OLDEST_VERSION = 5
 _ENTRIES: Mapping[int, Callable[[Values], Values]] = {5: _ids_as_text}
 """Converters of log entries to the next version, by version."""
+_NATURALNESS = (
+    "surface_distance_cm",
+    "surface_distance_p95_cm",
+    "naturalness_percentile",
+    "natural",
+    "clearance_m",
+    "asymmetry_cm",
+    "nearest_member",
+    "to_member_cm",
+    "to_member_p95_cm",
+    "from_member_cm",
+    "from_member_p95_cm",
+    "out_of_range",
+)
 _ADDED: Mapping[int, Mapping[str, str | None]] = {
     7: {"search": "descent"},
-    8: dict.fromkeys(
-        [
-            *("surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural", "clearance_m"),
-            *("asymmetry_cm", "nearest_member", "to_member_cm", "to_member_p95_cm", "from_member_cm"),
-            *("from_member_p95_cm", "out_of_range"),
-        ]
-    ),
+    8: dict.fromkeys(_NATURALNESS),
     9: {"drawn_as": None},
 }
 """Columns that the version after this one adds, with the value that older rows have."""

@@ -154,7 +154,7 @@ def _sample_paint(layout: Layout, rng: np.random.Generator) -> dict[int, Paint]:
     for number, item in enumerate(layout.items):
         if item.kind == "vehicle":
             glass_loss = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.2, 0.9))
-            paint[number] = Paint(float(rng.uniform(0.05, 0.7)), glass_loss)
+            paint[number] = Paint(albedo=float(rng.uniform(0.05, 0.7)), glass_loss=glass_loss)
     return paint
 
 

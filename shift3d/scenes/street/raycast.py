@@ -217,7 +217,24 @@ def hit_leaves(
 
     Source: our choice; a beam's survival in a medium of scattered leaves falls off exponentially.
     """
-    scaled, offset = directions.astype(np.float64, copy=False) / radii, (starts - centre) / radii
+    met, enter, leave = _through_ellipsoid(starts, directions.astype(np.float64, copy=False), centre, radii)
+    depth = np.maximum(enter, 0.0) + rng.exponential(free_path_m, len(directions))
+    range_m = np.where(met & (depth < leave), depth, np.inf).astype(np.float32)
+    material = np.full(len(range_m), Material.FOLIAGE, dtype=np.uint8)
+    return range_m, material, np.full(len(range_m), _LEAVES_COSINE, np.float32)
+
+
+def _through_ellipsoid(
+    starts: Float, directions: Float, centre: Float, radii: Float
+) -> tuple[NDArray[np.bool_], Float, Float]:
+    """Compute the ranges at which rays enter and leave an ellipsoid.
+
+    Args:
+        starts: (3,) or (N, 3), scene frame; directions: (N, 3) float64 unit vectors.
+
+    Returns: met (N,) bool, the ray's line meets the ellipsoid; enter and leave (N,), negative behind the start.
+    """
+    scaled, offset = directions / radii, (starts - centre) / radii
     a = (scaled * scaled).sum(axis=1)
     if offset.ndim == 1:
         b, c = scaled @ offset, offset @ offset - 1.0
@@ -225,11 +242,7 @@ def hit_leaves(
         b, c = (scaled * offset).sum(axis=1), (offset * offset).sum(axis=1) - 1.0
     discriminant = b * b - a * c
     root = np.sqrt(np.maximum(discriminant, 0.0))
-    depth = np.maximum((-b - root) / a, 0.0) + rng.exponential(free_path_m, len(directions))
-    inside = (discriminant > 0.0) & (depth < (-b + root) / a)
-    range_m = np.where(inside, depth, np.inf).astype(np.float32)
-    material = np.full(len(range_m), Material.FOLIAGE, dtype=np.uint8)
-    return range_m, material, np.full(len(range_m), _LEAVES_COSINE, np.float32)
+    return discriminant > 0.0, (-b - root) / a, (-b + root) / a
 
 
 def _each(start: Float32, directions: Float32) -> Float32:

@@ -35,7 +35,12 @@ class Paint:
 
 def sensor_model(sensor: Sensor) -> SensorModel:
     """Return the model that `finish` applies, except range scatter of rough surfaces and loss by drop_rate."""
-    return SensorModel(sensor.range_noise_m, sensor.divergence_rad, LIMIT_RANGE_M, POWER_SPREAD)
+    return SensorModel(
+        range_noise_m=sensor.range_noise_m,
+        divergence_rad=sensor.divergence_rad,
+        limit_range_m=LIMIT_RANGE_M,
+        power_spread=POWER_SPREAD,
+    )
 
 
 def finish(

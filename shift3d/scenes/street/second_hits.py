@@ -102,8 +102,10 @@ def _parts(hits: Hits) -> tuple[NDArray[Any], ...]:
 
 
 def _at_range_steps(sweep: Sweep) -> NDArray[np.bool_]:
-    """Mark hits with another object well behind in a neighbouring cell; no silhouette can cut the other hits."""
-    # A beam's cone is narrower than the steps between beams. (Some gaps narrower than the steps are missed.)
+    """Mark hits with another object well behind in a neighbouring cell; no silhouette can cut the other hits.
+
+    A beam's cone is narrower than the steps between beams. (Some gaps narrower than the steps are missed.)
+    """
     behind: NDArray[np.bool_] = np.zeros(sweep.range_m.shape, dtype=np.bool_)
     nearer = sweep.range_m + SEPARATION_M
     for axis in (0, 1):

@@ -69,16 +69,22 @@ class Mount:
 AT_ORIGIN = Mount()
 
 
-def _by_rule_deg() -> dict[str, NDArray[np.float64]]:
-    """Compute elevations by a rule."""
-    # HDL-64E: 32 beams a third of a degree apart above 32 beams half a degree apart.
-    upper = 2.0 - np.arange(32) / 3.0
-    # Densest at the horizon, widening downwards. Range from the Waymo Open Dataset paper; the law is our choice.
+def _waymo_top_deg() -> NDArray[np.float64]:
+    """Compute 64 elevations from +2.4 to -17.6 degrees, densest at the horizon, widening downwards.
+
+    Source: range from the Waymo Open Dataset paper; the widening is in its calibrations, its law our choice.
+    """
     step = 0.15 + 0.33 * np.linspace(0.0, 1.0, 63)
     step *= 20.0 / step.sum()
+    return 2.4 - np.concatenate(([0.0], np.cumsum(step)))
+
+
+def _by_rule_deg() -> dict[str, NDArray[np.float64]]:
+    """Compute elevations by a rule. HDL-64E: 32 beams a third of a degree apart above 32 beams half a degree apart."""
+    upper = 2.0 - np.arange(32) / 3.0
     return {
         "hdl64": np.concatenate((upper, upper[-1] - 0.5 - np.arange(32) * 0.5)),
-        "waymo_top": 2.4 - np.concatenate(([0.0], np.cumsum(step))),
+        "waymo_top": _waymo_top_deg(),
         "hdl32": 32.0 / 3.0 - np.arange(32) * 4.0 / 3.0,
         "short32": np.linspace(10.0, -30.0, 32),
     }

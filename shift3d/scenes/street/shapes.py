@@ -83,18 +83,28 @@ def prism(
     i = np.arange(sides)
     j = (i + 1) % sides
     sidewall = np.concatenate((np.stack((i, j, i + sides), 1), np.stack((j, j + sides, i + sides), 1)))
-    bottom = np.stack((j, i, np.full(sides, 2 * sides)), 1)
-    top = np.stack((i + sides, j + sides, np.full(sides, 2 * sides + 1)), 1)
-    return Part(vertices, np.concatenate((sidewall, bottom, top)).astype(np.int32), material)
+    caps = np.concatenate(
+        (
+            np.stack((j, i, np.full(sides, 2 * sides)), 1),
+            np.stack((i + sides, j + sides, np.full(sides, 2 * sides + 1)), 1),
+        )
+    )
+    return Part(vertices, np.concatenate((sidewall, caps)).astype(np.int32), material)
 
 
 @lru_cache(maxsize=1)
 def _unit_sphere() -> tuple[Float, Int]:
     """Build a sphere of eight meridians, five parallels and two poles."""
-    polar = np.pi * np.arange(1, 6)[:, None] / 6
+    polar = np.pi * np.arange(1, 6) / 6
     around = 2 * np.pi * np.arange(8) / 8
-    x, y, z = np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0.0 * around
-    ring = np.stack((x, y, z), axis=-1).reshape(-1, 3)
+    ring = np.stack(
+        (
+            np.sin(polar)[:, None] * np.cos(around),
+            np.sin(polar)[:, None] * np.sin(around),
+            np.cos(polar)[:, None] + 0.0 * around,
+        ),
+        axis=-1,
+    ).reshape(-1, 3)
     vertices = np.concatenate((ring, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
     faces = []
     for j in range(8):
@@ -123,10 +133,13 @@ class Mesh:
 
 def merge(parts: Iterable[tuple[int, Part]], base: Mesh) -> Mesh:
     """Append (item number, part) pairs to a mesh."""
-    pieces, count = [base], len(base.vertices)
+    vertices, faces = [base.vertices], [base.faces]
+    material, item = [base.material], [base.item]
+    count = len(base.vertices)
     for number, part in parts:
-        faces, size = part.faces + np.int32(count), len(part.faces)
-        material, item = np.full(size, part.material, np.uint8), np.full(size, number, np.int32)
-        pieces.append(Mesh(part.vertices, faces, material, item))
+        vertices.append(part.vertices)
+        faces.append(part.faces + np.int32(count))
+        material.append(np.full(len(part.faces), part.material, dtype=np.uint8))
+        item.append(np.full(len(part.faces), number, dtype=np.int32))
         count += len(part.vertices)
-    return Mesh(**{name: np.concatenate([vars(piece)[name] for piece in pieces]) for name in vars(base)})
+    return Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(material), np.concatenate(item))

@@ -34,8 +34,10 @@ _PAIR = "Pair components of one segment: copy both again"
 class LaserFrame:
     """Data of one laser in one frame.
 
-    images: first and second returns, (H, W, 4): range, metres (not positive: none), intensity, elongation, and 1 in a
-    no-label zone. origins, directions: (H, W, 3) of each pixel's beam, vehicle frame.
+    Attributes:
+        images: first and second returns, (H, W, 4) float32: range, metres (not positive: none), intensity, elongation,
+            and 1 in a no-label zone.
+        origins, directions: (H, W, 3) float64 of each pixel's beam, vehicle frame.
     """
 
     images: tuple[NDArray[np.float32], NDArray[np.float32]]

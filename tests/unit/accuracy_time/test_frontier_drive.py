@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from shift3d.accuracy_time import drive
-from shift3d.accuracy_time.run import Journal
+from shift3d.accuracy_time.journal import Journal
 from shift3d.cli.commands import frontier
 from shift3d.errors import InputError
 from shift3d.task.assets import load_assets

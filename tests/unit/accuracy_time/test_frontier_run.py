@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from frontier_settings_by_hand import FakeInstrument, StoppedError, setting
 
+from shift3d.accuracy_time.journal import Journal
 from shift3d.accuracy_time.rows import CaseResults, frontier_rows
-from shift3d.accuracy_time.run import Journal, RepeatLimits, expected_seconds, measure_case
+from shift3d.accuracy_time.run import RepeatLimits, expected_seconds, measure_case
 from shift3d.store.frontier_table import frontier_table
 
 REPEATS = RepeatLimits(most=4, seconds=10.0, slow_s=30.0)

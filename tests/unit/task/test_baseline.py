@@ -28,9 +28,8 @@ def without_times(result: TaskResult) -> dict[str, list]:
 
 def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone(assets: Assets) -> None:
     """Two workers run the same two specs in opposite order and give the same rows."""
-    short = replace(SHORT, steps=1, random_replicates=0)
-    unmoved = replace(short, steps=0, noise_replicates=1)
-    specs = make_spec(transfer_scenes=(TransferScene(THERE, ""),), attack=unmoved), make_spec("pose", attack=short)
+    short = replace(SHORT, steps=1, random_replicates=0, noise_replicates=1)
+    specs = make_spec(transfer_scenes=(TransferScene(THERE, ""),), attack=short), make_spec("pose", attack=short)
     one, other = (with_own_caches(assets) for _ in range(2))
     first, second = (run_task(spec, one) for spec in specs)
     assert baseline_stages(first).keys() >= {"placement", "render", "detector", "audit"}

@@ -25,10 +25,14 @@ GLASS_FROM, GLASS_TO = 0.62, 0.92
 
 @dataclass(frozen=True)
 class PoolVehicle:
-    """One vehicle ready for ray casting, in the object frame, whose origin is the centre of its box.
+    """One vehicle ready for ray casting.
 
-    radius_m: of the smallest sphere about the origin around the vehicle. glass_band_m: lower and upper height of the
-    windows; equal without windows. kind: body type and attributes of the wide family, "" for others.
+    Attributes:
+        size_m: dx, dy, dz of the axis-aligned box; the object frame's origin is the box's centre.
+        radius_m: radius of the smallest sphere about the origin around the vehicle.
+        intersector: of the mesh, object frame.
+        glass_band_m: lower and upper height of the windows, object frame; equal without windows.
+        kind: body type and attributes of the wide family, "" for others.
     """
 
     size_m: NDArray[np.float64]

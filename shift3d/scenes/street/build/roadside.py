@@ -83,9 +83,7 @@ def _trees_and_poles(plan: FloorPlan, ground: Ground, rng: np.random.Generator, 
         spacing = rng.uniform(7.0, 16.0) * (2.0 if sparse else 1.0)
         for u in np.arange(-80.0, 80.0, spacing):
             if rng.random() < 0.8:
-                place, radius = u + rng.normal(0.0, 0.8), rng.uniform(0.08, 0.28)
-                size = (2 * radius, 2 * radius, float(rng.uniform(4.0, 9.0)))
-                _add(plan, ground, "tree", place, side * kerb, float(rng.uniform(-np.pi, np.pi)), size, rng)
+                _tree_at(plan, ground, u + rng.normal(0.0, 0.8), side * kerb, rng)
     spacing = rng.uniform(18.0, 38.0)
     for u in np.arange(-80.0 + rng.uniform(0, 15), 80.0, spacing):
         radius = rng.uniform(0.06, 0.16)
@@ -95,6 +93,12 @@ def _trees_and_poles(plan: FloorPlan, ground: Ground, rng: np.random.Generator, 
     for _ in range(int(rng.integers(1, 6))):
         u, heading = rng.uniform(-60.0, 60.0), rng.choice((0.0, np.pi)) + rng.normal(0.0, 0.1)
         _add(plan, ground, "sign", u, side * (kerb + 0.2), heading, (0.1, 0.7, float(rng.uniform(2.0, 3.2))), rng)
+
+
+def _tree_at(plan: FloorPlan, ground: Ground, u: float, v: float, rng: np.random.Generator) -> None:
+    radius = rng.uniform(0.08, 0.28)
+    size = (2 * radius, 2 * radius, float(rng.uniform(4.0, 9.0)))
+    _add(plan, ground, "tree", u, v, float(rng.uniform(-np.pi, np.pi)), size, rng)
 
 
 def _size(kind: str, rng: np.random.Generator) -> tuple[float, float, float]:
@@ -110,8 +114,10 @@ def _size(kind: str, rng: np.random.Generator) -> tuple[float, float, float]:
         "pedestrian": ((0.5, 0.6, 1.1), (0.9, 0.75, 1.95)),
         "cyclist": ((1.7, 0.62, 1.6), (1.8, 0.66, 1.9)),
     }[kind]
-    length, width, height = rng.uniform(low, high).tolist()
-    return length, length if kind in ("pole", "tree") else width, height
+    drawn = rng.uniform(low, high)
+    if kind in ("pole", "tree"):
+        drawn[1] = drawn[0]
+    return (float(drawn[0]), float(drawn[1]), float(drawn[2]))
 
 
 def _scatter_items(

@@ -60,8 +60,9 @@ class World:
             if away[number]:
                 continue
             if item.kind == "vehicle":
-                vehicles.append(placed := _placed_on_wheels(layout.ground, item, number, fleet.vehicle(item.variant)))
-                boxes[number] = np.array([*placed.position, *placed.vehicle.size_m, item.heading_rad])
+                placed_vehicle = _placed_on_wheels(layout.ground, item, number, fleet.vehicle(item.variant))
+                vehicles.append(placed_vehicle)
+                boxes[number] = np.array([*placed_vehicle.position, *placed_vehicle.vehicle.size_m, item.heading_rad])
                 continue
             parts, leaves = ITEM_GEOMETRY[item.kind](item, generator("street-thing", item.variant))
             z = _lowest_ground(layout.ground, item)
