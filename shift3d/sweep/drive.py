@@ -110,12 +110,12 @@ def run_sweep(
     reused = sum(copy_finished_tasks(log, plan, other) for other in reuse)
     again = log.quarantined() if retry_quarantined else set()
     left = plan.tasks.without(log.finished() - again)
+    if 0 < len(left) < len(plan.tasks) and not getattr(runner_config, "address", None):
+        _note_processor(folder)
     status = StatusWriter(log, len(plan.tasks))
     status.write([], 0, "starting" if len(left) else "finished")
     came = 0
     if len(left):
-        if len(left) < len(plan.tasks) and not getattr(runner_config, "address", None):
-            _note_processor(folder)
         with (
             _runner(kind, plan, runner_config, left, _tried(log, plan, again), status) as runner,
             contextlib.closing(Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers)) as progress,

@@ -112,6 +112,14 @@ def test_a_sweep_that_another_processor_began_says_so(
     assert ("this processor computes with" in printed) == bool(begun)
 
 
+def test_a_damaged_environment_is_named_and_no_driver_claims_to_start(tmp_path: Path) -> None:
+    unfinished(tmp_path, "interrupted")
+    (tmp_path / "env.json").write_text("[1")
+    with pytest.raises(InputError, match=r"env\.json: cannot be read"):
+        run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, not_wanted, not_wanted), tmp_path)  # type: ignore[arg-type]
+    assert "starting" not in message(tmp_path)
+
+
 def test_a_process_that_has_the_number_of_a_dead_driver_is_not_the_driver(tmp_path: Path) -> None:
     unfinished(tmp_path, "running")
     assert ": running" in message(tmp_path), "this process, which is alive"
