@@ -9,6 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from shift3d.sdf.field import Field as Network
+
 Field = Callable[[Tensor], Tensor]
 
 
@@ -81,6 +83,23 @@ def soft_car(code: Tensor) -> Field:
         return ((x / axes).norm(dim=-1) - 1.0) * 0.6 + ripple
 
     return g
+
+
+def wall_with_a_bump(rise: float, narrow: float = 1.0, aside_m: float = 0.0) -> Network:
+    """Return a ReLU network in float64: a wall at x = 0 and, as a unit of its own, a bump at (y, z) about 0.09 m.
+
+    rise: height of the bump, sdf units; the unit is on nowhere if it is negative. narrow: steepness of the bump.
+    """
+    centre, eye = torch.tensor([0.0, 0.035 + aside_m / 2.5, 0.03], dtype=torch.float64), torch.eye(3).double()
+    first, first_bias = torch.cat((eye, -eye)), torch.cat((-centre, centre))
+    hidden, out = torch.zeros(64, 6, dtype=torch.float64), torch.zeros(1, 64, dtype=torch.float64)
+    hidden[0, 0], hidden[0, 3] = -1.0, 1.0
+    hidden[1, 0], hidden[1, 3] = 1.0, -1.0
+    hidden[63] = -torch.tensor([1.0, narrow, narrow] * 2, dtype=torch.float64)
+    out[0, 0], out[0, 1], out[0, 63] = 1.0, -1.0, -1.0
+    bias = torch.zeros(64, dtype=torch.float64)
+    bias[63] = rise
+    return Network([first, hidden, out], [first_bias, bias, torch.zeros(1, dtype=torch.float64)], skip_layer=-1)
 
 
 def ground_scan(

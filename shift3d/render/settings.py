@@ -87,7 +87,8 @@ class RenderSettings:
         grazing_m: an interval that g crosses at a flatter slope than `approach_slope` is halved down to this width,
             because it may hold several crossings.
         sdf_grid: use an SDF grid of the field if one is given (`SdfGrid`).
-        live_units: leave out the decoder's hidden units that are off at all places of a survey of the vehicle's box.
+        live_units: leave out the decoder's hidden units that are off at all places of a survey: the vehicle's box, and
+            every hit.
         bfloat16_band_m: farther than this from the surface a decoder is evaluated in bfloat16 if the value only sets
             the length of a step; 0: never.
         min_n_dot_d: smallest |grad g . d| by which a gradient is divided, d the beam's direction; see `implicit`.

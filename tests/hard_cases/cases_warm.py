@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import torch
-from analytic_fields import Field, Frame, box, car, rounded, sphere, union
+from analytic_fields import Field, Frame, box, car, rounded, sector_scan, sphere, union, wall_with_a_bump
 from catalogue import hard_case
 from hard_scenes import AT_TEN, FAST, PLAIN, beams_along_x, draw, fan, hit_at, pose, unmoved
 from torch import Tensor
 
-from shift3d.render import Beams, Rendering
+from shift3d.render import Beams, Rendering, render
 from shift3d.render.solvers.search import WarmStart
 
 SPHERE, SLAB = sphere(1.0), box((0.2, 1.0, 0.5), (0.6, 0.0, 0.0))
@@ -339,3 +339,22 @@ def a_predicted_hit_that_is_covered() -> None:
     cold, afresh = gradient(ball_at(-0.15), None)
     assert 9.3 < float(found.range_m) < 9.5 and torch.allclose(found.range_m, afresh.range_m, atol=1e-5)
     assert torch.allclose(warm, cold, atol=1e-4)
+
+
+@hard_case(
+    area="renderer",
+    why="between two steps a decoder's unit that was off everywhere raises a bump that a few beams alone meet",
+    must="these beams hit the bump",
+    guard="every hit of a warm rendering is evaluated with every unit, and corrected if a unit was missing",
+)
+def a_unit_that_comes_on_between_two_steps() -> None:
+    beams = Beams.from_arrays(*sector_scan((10.0, 0.0875, 0.075), half_angle_rad=0.02, rays=32, far_m=30.0))
+    settings, theta = FAST, AT_TEN.clone().requires_grad_()
+    before = render(beams, wall_with_a_bump(-0.01, 4.0, 0.05), theta, PLAIN, settings)
+    for rise in (0.024, 0.03):
+        field = wall_with_a_bump(rise, 4.0, 0.05)
+        before = render(beams, field, theta, PLAIN, settings, before.warm)
+        whole = render(beams, field, theta, PLAIN, settings.with_(live_units=False))
+        assert before.warm is not None and before.warm.age > 0
+        assert 0 < int((whole.range_m < 9.99).sum()) < 9
+        assert float((before.range_m - whole.range_m).abs().max()) < 1e-5

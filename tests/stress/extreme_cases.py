@@ -22,8 +22,7 @@ SETTINGS: dict[str, RenderSettings] = {
     "standard": preset("standard"),
     "draft": preset("draft"),
     "plain": preset("standard").with_(solver="plain_sphere_tracing"),
-    # Units that a survey missed move a root by up to 0.1 mm: only the whole decoder is accurate to 1e-9 m.
-    "float64": preset("standard").with_(dtype=torch.float64, tolerance_m=1e-9, final_newton_m=0.0, live_units=False),
+    "float64": preset("standard").with_(dtype=torch.float64, tolerance_m=1e-9, final_newton_m=0.0),
 }
 _OFTEN = ("standard", "standard", "standard", "standard", "draft", "plain", "float64")
 _ANGLES = (math.pi, -math.pi, math.pi / 2, -math.pi / 2, 0.0, math.nextafter(math.pi, 0), 1e-12)

@@ -72,11 +72,11 @@ class SdfGrid:
         return SdfGrid(box, unchecked.distance_m, error_m, metric.count.evaluations, live)
 
     @staticmethod
-    def coarse(field: ObjectField, box: Box, more: Tensor) -> SdfGrid:
-        """Compute a field's coarse grid; `live`: units that are on at its nodes or at `more` (n, 3), object frame."""
+    def coarse(field: ObjectField, box: Box) -> SdfGrid:
+        """Compute a field's coarse grid; `live`: units that are on at its nodes."""
         nodes, shape = _coarse_nodes(box)
-        g, live = field.survey(torch.cat((nodes, more)))
-        return SdfGrid(box, g[: len(nodes)].float().reshape(shape), live=live)
+        g, live = field.survey(nodes)
+        return SdfGrid(box, g.float().reshape(shape), live=live)
 
     def coarsened(self) -> SdfGrid:
         """Resample this grid at the nodes of a coarse grid, without evaluations."""

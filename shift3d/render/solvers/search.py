@@ -36,8 +36,6 @@ _MOTION_REACH_M = 0.3
 _GRID_REACH_M = 0.15
 _FALL = -0.5
 """Assumed dg/dk at a hit without further knowledge."""
-_SURVEYED = 8
-"""A warm rendering evaluates one in _SURVEYED predicted hits with every hidden unit."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ def first_hits(
         state = _from_earlier(beams, field, theta, size_m, settings, warm)
     if state is None:
         box = verified_box(field, size_m, settings.box_margin_m)
-        coarse = SdfGrid.coarse(field, box.box, torch.empty(0, 3, dtype=torch.float64))
+        coarse = SdfGrid.coarse(field, box.box)
         state = WarmStart.of(beams, theta, rays_in_box(beams, theta, box.box), coarse, box, settings)
     state = _surveyed(_searched(state, field.sliced(state.live), settings), field, settings)
     hit = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
@@ -155,7 +153,7 @@ def _from_earlier(
         rows, guess_m, change = row_of[old], before.range_m[old], torch.zeros(len(old), dtype=torch.float64)
         slope = torch.full_like(guess_m, _FALL)
     hit = rays.select(rows)
-    grid = SdfGrid.coarse(field, box.box, hit.at(guess_m)[::_SURVEYED])
+    grid = SdfGrid.coarse(field, box.box)
     if len(rows) == 0 or float(grid.variation(before.grid).max()) > settings.warm_change_m:
         return None  # without a hit the motion of the surface is unknown
     live = union_of_units(before.live, grid.live if settings.live_units else None)
@@ -184,11 +182,11 @@ def _searched(state: WarmStart, field: ObjectField, settings: RenderSettings) ->
 
 
 def _surveyed(state: WarmStart, field: ObjectField, settings: RenderSettings) -> WarmStart:
-    """Correct the hits of a first search until no hidden unit that was left out is on at a hit.
+    """Correct the hits until no hidden unit that was left out is on at a hit.
 
     A hit whose root the corrector does not reach is searched again on its ray, with the added units.
     """
-    while state.live is not None and state.age == 0:
+    while state.live is not None:
         hit = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
         rays, range_m = state.rays.select(hit), state.range_m[hit]
         live = union_of_units(state.live, field.survey(rays.at(range_m))[1]) if len(hit) else state.live

@@ -34,7 +34,7 @@ def field_of(metric: Field) -> ObjectField:
 
 def coarse(metric: Field, box: Box) -> SdfGrid:
     """Return the coarse grid of a field over a box."""
-    return SdfGrid.coarse(field_of(metric), box, torch.empty(0, 3, dtype=torch.float64))
+    return SdfGrid.coarse(field_of(metric), box)
 
 
 def samples_at(rays: Rays, metric: Field, ranges: list[float] | Tensor) -> RaySamples:

@@ -2,11 +2,22 @@
 
 import pytest
 import torch
-from analytic_fields import SHAPENET_FRAME, Frame, box, car, ground_scan, in_frame, rounded, sector_scan, sphere, union
+from analytic_fields import (
+    SHAPENET_FRAME,
+    Frame,
+    box,
+    car,
+    ground_scan,
+    in_frame,
+    rounded,
+    sector_scan,
+    sphere,
+    union,
+    wall_with_a_bump,
+)
 
 from shift3d.render import Beams, Rendering, SdfGrid, preset, render
 from shift3d.sdf.decoder import load_decoder
-from shift3d.sdf.field import Field
 from shift3d.vehicles.vehicle import baseline_vehicles
 
 STANDARD = preset("standard").with_(dtype=torch.float64)
@@ -145,17 +156,7 @@ def test_a_hidden_unit_that_is_on_at_some_hits_alone_is_kept(
     aside_m: float, rise: float, narrow: float, hits: tuple[int, int]
 ) -> None:
     """A wall has a bump in the path of some beams, between the places that a search surveys beforehand."""
-    centre, eye = torch.tensor([0.0, 0.035 + aside_m / 2.5, 0.03], dtype=torch.float64), torch.eye(3).double()
-    first, first_bias = torch.cat((eye, -eye)), torch.cat((-centre, centre))
-    hidden, out = torch.zeros(64, 6, dtype=torch.float64), torch.zeros(1, 64, dtype=torch.float64)
-    hidden[0, 0], hidden[0, 3] = -1.0, 1.0
-    hidden[63] = -torch.tensor([1.0, narrow, narrow] * 2, dtype=torch.float64)
-    hidden[1, 0], hidden[1, 3] = 1.0, -1.0  # the wall at x = 0, outside in front of it; the last unit is the bump
-    out[0, 0], out[0, 1], out[0, 63] = 1.0, -1.0, -1.0
-    bias = torch.zeros(64, dtype=torch.float64)
-    bias[63] = rise
-    biases = [first_bias, bias, torch.zeros(1, dtype=torch.float64)]
-    field, frame = Field([first, hidden, out], biases, skip_layer=-1), Frame(scale_m=2.5)
+    field, frame = wall_with_a_bump(rise, narrow, aside_m), Frame(scale_m=2.5)
     beams = Beams.from_arrays(*sector_scan((10.0, 0.0875, 0.075), half_angle_rad=0.02, rays=32, far_m=30.0))
     theta = torch.tensor([10.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
     found, whole = (render(beams, field, theta, frame, STANDARD.with_(live_units=live)) for live in (True, False))
