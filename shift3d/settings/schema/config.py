@@ -184,8 +184,8 @@ class EffectsConfig(Record):
     object_speed_m_s: Annotated[float, Field(ge=-100.0, le=100.0)] | None
 
     def forced(self) -> tuple[str, ...]:
-        """Return the names of the effects that every scene uses, whether it calls for them or not."""
-        return tuple(name for name, on in self.use.items() if on and name != "auto")
+        """Return the effects that every scene uses, whether it calls for them or not, in physical order."""
+        return tuple(name for name in NEEDS if self.use.get(name))
 
     @property
     def auto(self) -> bool:

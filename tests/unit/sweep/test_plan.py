@@ -147,6 +147,16 @@ def test_tasks_under_another_name_of_their_effects_are_refused(out: Path) -> Non
     assert read_plan(out).tasks == none.tasks
 
 
+def test_effects_in_another_order_are_the_same_sweep(out: Path) -> None:
+    weather = ["effects.rain_mm_h=5", "effects.visibility_m=300"]
+    plans = [
+        make_plan(compose_sweep("smoke", ["vehicle=suv", f"effects={names}", *weather]), valid_sweeps.catalogue)[0]
+        for names in ("[fog,rain]", "[rain,fog]")
+    ]
+    for plan in plans:
+        open_folder(out, plan)
+
+
 def test_a_folder_whose_first_driver_was_killed_early_is_taken_over(out: Path, suv_plan: Plan) -> None:
     out.mkdir()
     (out / "plan.parquet").write_bytes(b"another plan, without its spec.yaml")
