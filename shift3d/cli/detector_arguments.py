@@ -12,6 +12,11 @@ from shift3d.errors import InputError
 
 _FOREIGN_KEYS = ("config", "vehicle_class", "sensor_height_m", "intensity")
 DETECTOR_KEYS = ("weights", "module", "file", *_FOREIGN_KEYS)
+DETECTOR_HELP = (
+    "[weights=FILE] [module=FILE.py] [file=FILE.onnx] [config=FILE [vehicle_class=NAME] [sensor_height_m=M] "
+    "[intensity=I]]"
+)
+"""Help of `DETECTOR_KEYS`."""
 # Per detector: the required key with an example value, and the allowed keys. Keys of another detector are refused.
 _NEEDED = {OWN: ("module", "FILE.py"), ONNX: ("file", "FILE.onnx"), **dict.fromkeys(FOREIGN, ("config", "FILE"))}
 _TAKEN = {OWN: ("weights", "module"), ONNX: ("file",), **dict.fromkeys(FOREIGN, ("weights", *_FOREIGN_KEYS))}

@@ -15,7 +15,7 @@ from typing import get_args
 import pytest
 
 import shift3d
-from shift3d.cli.command import key_values
+from shift3d.cli.command import Command, key_values
 from shift3d.cli.commands.detectors import train
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
@@ -209,7 +209,7 @@ def sweeps(tmp_path: Path) -> Path:
         ("plan pl", set()),
         ("verify o", {"outputs/smoke-0123", "outputs/default-4567"}),
         ("report outputs/s", {"outputs/smoke-0123"}),
-        ("export outputs/smoke-0123 ", {"task=", "method=", "replicate=", "to=", "overwrite="}),
+        ("export outputs/smoke-0123 rep", {"replicate="}),
         ("export outputs/smoke-0123 method=adv", {"method=adversarial", "method=adversarial_noise"}),
         ("sweep smoke mode=", {"mode=shape", "mode=pose", "mode=shape_pose"}),
         ("sweep smoke scenes.weather=", {f"scenes.weather={kind}" for kind in ("dry", "rain", "fog", "snow")}),
@@ -231,6 +231,16 @@ def test_the_shell_is_offered(line: str, offered: set[str], sweeps: Path) -> Non
     assert completed(f"shift3d {line}", sweeps) == offered
 
 
+@pytest.mark.parametrize(
+    "command", [command for command in COMMANDS if command.complete], ids=lambda command: command.name
+)
+def test_the_help_names_every_key_that_the_shell_is_offered(command: Command) -> None:
+    assert command.complete is not None
+    keys = [word for word in command.complete("") if word.endswith("=") and word not in overrides("")]
+    text = " ".join((command.words, command.metavar, command.description, command.epilog))
+    assert [key for key in keys if key not in text] == [], "name them in `words`, or in the description"
+
+
 def test_what_is_offered_for_a_mesh_and_a_model_is_what_they_take() -> None:
     from shift3d.training.command import MODELS
     from shift3d.vehicles.mesh_frame import AXES, UNITS_M
@@ -242,12 +252,18 @@ def test_what_is_offered_for_a_mesh_and_a_model_is_what_they_take() -> None:
 def test_the_values_that_comments_list_are_those_that_settings_take() -> None:
     from shift3d.attack.names import SearchName, SpaceName
     from shift3d.settings.schema.config import Config
+    from shift3d.settings.schema.scenes import StreetConfig
 
     def offered(key: str) -> set[str]:
         return {word.partition("=")[2] for word in overrides(f"{key}=")}
 
-    assert offered("attack.search") == set(get_args(SearchName)) and offered("attack.space") == set(get_args(SpaceName))
-    assert offered("mode") == set(get_args(Config.model_fields["mode"].annotation))
+    taken = {"attack.search": SearchName, "attack.space": SpaceName, "mode": Config.model_fields["mode"].annotation}
+    streets = ("sensor", "split", "weather", "traffic", "beams")
+    taken |= {f"scenes.{name}": StreetConfig.model_fields[name].annotation for name in streets}
+    for key, annotation in taken.items():
+        names = {name for part in (annotation, *get_args(annotation)) for name in get_args(part)}
+        names = {name for name in names if isinstance(name, str)}
+        assert offered(key) == names, f"{key}: the comment of its setting in conf/ lists its values: a | b"
 
 
 def test_completion_offers_sweeps_groups_options_and_settings() -> None:

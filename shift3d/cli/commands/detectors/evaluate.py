@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command, choice, key_values, refuse, share, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.detector_arguments import DETECTOR_KEYS, detector_files
+from shift3d.cli.detector_arguments import DETECTOR_HELP, DETECTOR_KEYS, detector_files
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 from shift3d.errors import InputError
 
@@ -95,8 +95,8 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    words="detector=NAME [scenes=street|kitti] [count=N] [sensor= split= traffic=] [root=PATH] [weights=FILE] "
-    "[module=FILE.py] [file=FILE.onnx] [config=FILE] [score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
+    words=f"detector=NAME {DETECTOR_HELP} [scenes=street|kitti] [count=N] [sensor= split= traffic=] [root=PATH] "
+    "[score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
     complete=key_words((*_KEYS, "model"), _VALUES),
     resumes=True,
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.detector_arguments import DETECTOR_KEYS, detector_files, detector_name
+from shift3d.cli.detector_arguments import DETECTOR_HELP, DETECTOR_KEYS, detector_files, detector_name
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 
 KEYS = (
@@ -89,7 +89,7 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    words="suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [file=FILE.onnx] [config=FILE] [name=NAME] "
+    words=f"suite=DIR detector=NAME {DETECTOR_HELP} [name=NAME] "
     "[accept=true] [against=N] [releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] "
     "[mlflow=URI|none] [out=DIR]",
     complete=key_words(KEYS, _VALUES),
