@@ -33,6 +33,7 @@ def scene(beams: str | None) -> Scene:
 
 @pytest.mark.parametrize("name", BEAM_NAMES)
 def test_beams_are_those_of_the_published_table(name: str) -> None:
+    assert name in PUBLISHED, "PUBLISHED: add the sensor's published elevations"
     count, top, bottom, step = PUBLISHED[name]
     degrees = np.rad2deg(BEAMS[name].elevations_rad)
     assert len(degrees) == count and (np.diff(degrees) < 0).all()
@@ -101,5 +102,5 @@ def test_unknown_beams_and_returns_of_two_heads_are_refused() -> None:
 
 
 def test_the_list_of_names_is_that_of_the_sensors() -> None:
-    assert tuple(BEAMS) == BEAM_NAMES
+    assert tuple(BEAMS) == BEAM_NAMES, "scenes/street: sensors.toml and options.py name the same sensors in one order"
     assert StreetOptions(traffic="wide", beams="av2_pair").tag == "-wide-beams_av2_pair"
