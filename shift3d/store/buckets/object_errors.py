@@ -6,11 +6,11 @@ import re
 
 from shift3d.errors import InputError
 
-_CREDENTIALS = {
+CREDENTIALS = {
     "s3": "Set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or give the machine a role",
     "gs": "Set GOOGLE_SERVICE_ACCOUNT to a key file, or give the machine a service account",
 }
-_CHECK = {
+CHECK = {
     "s3": "Check AWS_ENDPOINT_URL, AWS_REGION and the network, and run the same command again",
     "gs": "Check the network and GOOGLE_BASE_URL, and run the same command again",
 }
@@ -57,10 +57,10 @@ def store_error(error: Exception, url: str) -> InputError:
         if re.search(pattern, text):
             # A network error also names the host and the number of tries.
             request = f" ({_request(text)})" if remedy == "{check}" else ""
-            remedy = remedy.format(credentials=_CREDENTIALS[scheme], check=_CHECK[scheme])
+            remedy = remedy.format(credentials=CREDENTIALS[scheme], check=CHECK[scheme])
             return InputError(what + request, url, remedy)
     first = " ".join(str(error).split("Debug source")[0].split())[:300]
-    return InputError(f"the store refuses ({first})", url, _CHECK[scheme])
+    return InputError(f"the store refuses ({first})", url, CHECK[scheme])
 
 
 def check_endpoint(name: str, value: str) -> None:

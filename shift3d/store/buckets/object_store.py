@@ -33,7 +33,8 @@ from shift3d.store.location import Item, Location, Result
 if TYPE_CHECKING:
     from obstore.store import RetryConfig
 
-SCHEMES = ("s3", "gs")
+STORES = {"s3": ("AWS_", S3Store), "gs": ("GOOGLE_", GCSStore)}
+"""By scheme: prefix of the variables in the environment, client."""
 _ENDPOINTS = ("AWS_ENDPOINT", "AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "GOOGLE_BASE_URL")
 _THREADS = 16
 _IN_ONE_PIECE = 32 * 2**20
@@ -56,8 +57,8 @@ def object_location(url: str) -> ObjectLocation:
     """
     scheme, _, rest = url.partition("://")
     bucket, _, prefix = rest.partition("/")
-    if scheme not in SCHEMES:
-        remedy = "Give a folder, s3://BUCKET/PREFIX or gs://..."
+    if scheme not in STORES:
+        remedy = f"Give a folder, or {' or '.join(f'{known}://BUCKET/PREFIX' for known in STORES)}"
         raise InputError(f"no files are kept under {scheme}://", where=url, remedy=remedy)
     parts = [part for part in prefix.split("/") if part]
     if not bucket or {".", ".."} & set(parts) or not url.isprintable():
@@ -68,21 +69,20 @@ def object_location(url: str) -> ObjectLocation:
 
 def _store(scheme: str, bucket: str) -> Any:
     """Return the client of a bucket: one per process and set of credentials, since it keeps connections open."""
-    of = ("AWS_",) if scheme == "s3" else ("GOOGLE_",)
-    settings = tuple(sorted((name, value) for name, value in os.environ.items() if name.startswith(of)))
-    return _client(scheme, bucket, os.getpid(), settings)
+    settings = ((name, value) for name, value in os.environ.items() if name.startswith(STORES[scheme][0]))
+    return _client(scheme, bucket, os.getpid(), tuple(sorted(settings)))
 
 
 @functools.lru_cache(maxsize=8)
 def _client(scheme: str, bucket: str, process: int, settings: tuple[tuple[str, str], ...]) -> Any:
-    prefix, kind = ("AWS_", S3Store) if scheme == "s3" else ("GOOGLE_", GCSStore)
+    prefix, client = STORES[scheme]
     for name, value in settings:
         if name in _ENDPOINTS:
             check_endpoint(name, value)
     named = {name for name, _ in settings}
     patience: Any = {name: value for name, value in _PATIENCE.items() if f"{prefix}{name.upper()}" not in named}
     with _clear_errors(f"{scheme}://{bucket}"):
-        return kind(bucket, config=patience, retry_config=_RETRY)
+        return client(bucket, config=patience, retry_config=_RETRY)
 
 
 @contextlib.contextmanager

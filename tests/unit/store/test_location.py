@@ -10,6 +10,9 @@ import boto3
 import pytest
 from bucket_server import new_bucket
 
+from shift3d.errors import InputError
+from shift3d.store.buckets import object_errors
+from shift3d.store.buckets.object_store import STORES
 from shift3d.store.location import LocalLocation, Location
 from shift3d.store.resolve import as_location, local_copy
 
@@ -145,3 +148,10 @@ def test_a_files_version_changes_with_it(place: Location) -> None:
     assert before and file.version() == before
     file.write_atomic(b"new")
     assert file.version() != before
+
+
+def test_every_store_has_its_remedies() -> None:
+    """A scheme of `object_store.STORES` has an entry in each table of `object_errors`."""
+    assert set(object_errors.CREDENTIALS) == set(object_errors.CHECK) == set(STORES)
+    with pytest.raises(InputError, match=" or ".join(f"{scheme}://BUCKET/PREFIX" for scheme in STORES)):
+        as_location("ftp://bucket/runs")
