@@ -26,14 +26,17 @@ half of a score's permitted difference from its reference; two presets may diffe
 @dataclass(frozen=True)
 class DataRequirement:
     """Data that an effect needs from a scene. lacking: message if the data are missing; remedy: way to supply them.
-    needs_reflectance_reader: the effect applies only to detectors that read more than coordinates."""
+    settings: fields of `EffectSettings` that the effect reads. needs_reflectance_reader: the effect applies only to
+    detectors that read more than coordinates."""
 
     present: Callable[[SceneFacts], bool]
     lacking: str
     remedy: str = "Use scenes that carry it, or leave the effect out"
+    settings: tuple[str, ...] = ()
     needs_reflectance_reader: bool = False
 
 
+_POWER = ("limit_range_m", "power_spread")
 _MOVING = "neither firing times with a velocity of the sensor, nor with a speed of the object"
 
 NEEDS: Mapping[str, DataRequirement] = {
@@ -46,11 +49,13 @@ NEEDS: Mapping[str, DataRequirement] = {
         lambda scene: scene.scan_s > 0.0 and (scene.object_speed_m_s != 0.0 or _ego_moves(scene)),
         _MOVING,
         "Use scenes with firing times; give effects.object_speed_m_s",
+        ("object_speed_m_s", "range_noise_m"),
     ),
     "divergence": DataRequirement(
         lambda scene: scene.sensor.divergence_rad is not None,
         "it states no divergence of its beams",
         "Give effects.divergence_rad",
+        ("divergence_rad",),
     ),
     "second_returns": DataRequirement(
         lambda scene: scene.returns > 1 and scene.has_pixels, "its points carry no return numbers and pixels"
@@ -62,21 +67,37 @@ NEEDS: Mapping[str, DataRequirement] = {
         lambda scene: scene.conditions.rain_mm_h > 0.0 and scene.sensor.limit_range_m is not None,
         "it has no rain, or its sensor's limit is unknown",
         "Give effects.rain_mm_h and effects.limit_range_m",
+        ("rain_mm_h", *_POWER),
     ),
     "fog": DataRequirement(
         lambda scene: scene.conditions.visibility_m != float("inf"),
         "its visibility is unlimited",
         "Give effects.visibility_m",
+        ("visibility_m", *_POWER),
     ),
-    "rain": DataRequirement(lambda scene: scene.conditions.rain_mm_h > 0.0, "it has no rain", "Give effects.rain_mm_h"),
-    "snow": DataRequirement(lambda scene: scene.conditions.snow_mm_h > 0.0, "it has no snow", "Give effects.snow_mm_h"),
+    "rain": DataRequirement(
+        lambda scene: scene.conditions.rain_mm_h > 0.0,
+        "it has no rain",
+        "Give effects.rain_mm_h",
+        ("rain_mm_h", "divergence_rad", *_POWER),
+    ),
+    "snow": DataRequirement(
+        lambda scene: scene.conditions.snow_mm_h > 0.0,
+        "it has no snow",
+        "Give effects.snow_mm_h",
+        ("snow_mm_h", "divergence_rad", *_POWER),
+    ),
     "ray_drop": DataRequirement(
         lambda scene: scene.sensor.limit_range_m is not None,
         "its sensor's limit is unknown",
         "Give effects.limit_range_m",
+        _POWER,
     ),
     "range_noise": DataRequirement(
-        lambda scene: scene.sensor.range_noise_m is not None, "it states no range noise", "Give effects.range_noise_m"
+        lambda scene: scene.sensor.range_noise_m is not None,
+        "it states no range noise",
+        "Give effects.range_noise_m",
+        ("range_noise_m",),
     ),
 }
 """All effects by name, in the order of the physics, each with the data that it needs."""

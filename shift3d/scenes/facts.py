@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shift3d.errors import InputError
-from shift3d.scenes.scene import FASTEST_M_S, Conditions, Scene
+from shift3d.scenes.scene import FASTEST_M_S, WEATHER_FIELDS, Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 
 
@@ -74,20 +74,19 @@ def _sensor(sensor: SensorModel, overrides: dict[str, float]) -> SensorModel:
 def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) -> Conditions:
     """Apply weather settings. A recording with weather in its points accepts only that weather's rate and keeps it in
     the points. Other scenes get the weather with a rate above 0, else their own, or dry if that rate is set to 0."""
-    about: dict[str, Any] = {name: overrides[name] for name in _WEATHER.values() if name in overrides}
+    about: dict[str, Any] = {name: overrides[name] for name in WEATHER_FIELDS.values() if name in overrides}
     if not about:
         return conditions
     if conditions.weather_in_points and conditions.weather != "dry":
-        if other := [name for name in about if name != _WEATHER[conditions.weather]]:
+        if other := [name for name in about if name != WEATHER_FIELDS[conditions.weather]]:
             what = f"its points carry {conditions.weather} already"
             raise InputError(what, f"effects, scene {scene}", f"Leave out {', '.join(other)}, or this scene")
         return replace(conditions, **about)
-    stated = "dry" if _WEATHER.get(conditions.weather) in about else conditions.weather
-    weather = next((word for word, name in _WEATHER.items() if about.get(name)), stated)
+    stated = "dry" if WEATHER_FIELDS.get(conditions.weather) in about else conditions.weather
+    weather = next((word for word, name in WEATHER_FIELDS.items() if about.get(name)), stated)
     return replace(conditions, weather=weather, weather_in_points=False, **about)
 
 
-_WEATHER = {"snow": "snow_mm_h", "rain": "rain_mm_h", "fog": "visibility_m"}
 NO_OVERRIDES = EffectSettings()
 _GROUND_BAND_M = 0.3
 _GROUND_SHARE = 0.02

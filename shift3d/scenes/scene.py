@@ -15,7 +15,9 @@ from shift3d.scenes.file_checks import FARTHEST_M, refuse_not_finite, require_ar
 from shift3d.scenes.ground_map import GroundMap
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
-WEATHERS = ("dry", "rain", "fog", "snow")
+WEATHER_FIELDS = {"snow": "snow_mm_h", "rain": "rain_mm_h", "fog": "visibility_m"}
+"""Field of `Conditions` with the strength of each weather."""
+WEATHERS = ("dry", *WEATHER_FIELDS)
 LEAST_VISIBILITY_M = 1e-3
 """Densest fog (our choice). At 1e-15 m float64 has no two positions in the first metre to resolve the echo."""
 

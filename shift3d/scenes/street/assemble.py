@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.scene import Conditions, Labels, Scene
+from shift3d.scenes.scene import WEATHER_FIELDS, Conditions, Labels, Scene
 from shift3d.scenes.sensor import SensorModel
 from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.build.layout import Layout, sample_layout
@@ -127,12 +128,11 @@ def _sense(
 def conditions_of(options: StreetOptions) -> Conditions:
     """Return the conditions: weather that the points do not contain; default values for dry, static streets."""
     velocity = (float(options.ego_speed_m_s), 0.0, 0.0) if options.ego_speed_m_s else None
-    dry = Conditions()
+    field = WEATHER_FIELDS.get(options.weather)
+    strength: dict[str, Any] = {field: getattr(options, field)} if field else {}
     return Conditions(
+        **strength,
         weather=options.weather,
-        rain_mm_h=options.rain_mm_h or dry.rain_mm_h,
-        snow_mm_h=options.snow_mm_h or dry.snow_mm_h,
-        visibility_m=options.visibility_m or dry.visibility_m,
         ego_velocity_m_s=velocity,
         weather_in_points=options.weather == "dry",
         motion_compensated=velocity is None or options.motion_compensated,

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 from shift3d.errors import InputError
+from shift3d.scenes.scene import WEATHER_FIELDS
 
 TRAFFIC = ("family", "wide", "held_out")
-WEATHER_STRENGTHS = {"rain": ("rain_mm_h", 10.0), "fog": ("visibility_m", 100.0), "snow": ("snow_mm_h", 1.0)}
-"""Strength field of each weather and its default (our choice): heavy rain, thick fog, moderate snow."""
+WEATHER_STRENGTHS = {"rain": 10.0, "fog": 100.0, "snow": 1.0}
+"""Default strength of each weather of streets (our choice): heavy rain, thick fog, moderate snow."""
 BEAM_NAMES = ("hdl64", "waymo_top", "hdl32", "av2_pair", "pandar64")
 LIMITS = {"rain_mm_h": 500.0, "visibility_m": 1e5, "snow_mm_h": 50.0, "ego_speed_m_s": 50.0}
 """Largest values (our choice): larger values are typing errors."""
@@ -59,8 +60,8 @@ class StreetOptions:
         for name, known in choices.items():
             if (value := getattr(self, name)) not in known:
                 raise InputError(f"unknown {name} {value!r}", _WHERE, f"Choose from {', '.join(known)}")
-        for weather, (name, usual) in WEATHER_STRENGTHS.items():
-            self._fill_in(weather, name, usual)
+        for weather, usual in WEATHER_STRENGTHS.items():
+            self._fill_in(weather, WEATHER_FIELDS[weather], usual)
         if not 0.0 <= self.ego_speed_m_s <= LIMITS["ego_speed_m_s"]:
             remedy = f"Give 0 to {LIMITS['ego_speed_m_s']:g}"
             raise InputError(f"ego_speed_m_s is {self.ego_speed_m_s}", _WHERE, remedy)
@@ -95,7 +96,7 @@ class StreetOptions:
         """Tag of the options that are on, for names: "" or such as "-fog50-returns2-ego15comp"."""
         words = []
         if self.weather != "dry":
-            words.append(self.weather + _digits(getattr(self, WEATHER_STRENGTHS[self.weather][0])))
+            words.append(self.weather + _digits(getattr(self, WEATHER_FIELDS[self.weather])))
         words += ["model"] if self.sensor_model else []
         words += ["image"] if self.range_image else []
         words += [f"{name}{count}" for name in ("returns", "sensors") if (count := getattr(self, name)) > 1]

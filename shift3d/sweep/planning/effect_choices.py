@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,20 +12,6 @@ from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.schema.config import Config
 from shift3d.sweep.planning.tasks import distinct_with_indices
-
-_WEATHER = ("fog", "rain", "snow", "wet_ground")
-_USERS: Mapping[str, tuple[str, ...]] = {
-    "visibility_m": ("fog",),
-    "rain_mm_h": ("rain", "wet_ground"),
-    "snow_mm_h": ("snow",),
-    "range_noise_m": ("range_noise", "rolling_shutter"),
-    "divergence_rad": ("divergence", "rain", "snow"),
-    "limit_range_m": ("ray_drop", *_WEATHER),
-    "power_spread": ("ray_drop", *_WEATHER),
-    "object_speed_m_s": ("rolling_shutter",),
-}
-"""Effects that use each field of `EffectSettings`."""
-
 
 Decision = tuple[Choice, tuple[str, ...]]
 """Choice about an effect, and the names of its scenes; the reason is that of the first scene."""
@@ -74,10 +60,8 @@ class EffectChoiceCache:
 
     def unused(self) -> list[str]:
         """Return a line for each setting about scenes that no effect of any task uses."""
-        used = {effect for effect, used in self._lines if used}
-        return [
-            f"effects.{name}: no effect of this sweep uses it" for name in self._settings if not used & {*_USERS[name]}
-        ]
+        used = {name for effect, used in self._lines if used for name in NEEDS[effect].settings}
+        return [f"effects.{name}: no effect of this sweep uses it" for name in self._settings if name not in used]
 
     def decisions(self) -> tuple[Decision, ...]:
         """Return the decisions in the physical order of `NEEDS`; twice for an effect that only some scenes use."""

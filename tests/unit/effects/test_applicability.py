@@ -229,6 +229,11 @@ def test_settings_supply_what_a_scene_does_not_state(settings, expected):
     assert SceneFacts.of(scene).described(settings) == SceneFacts.of(scene, settings)
 
 
+def test_every_setting_is_read_by_an_effect():
+    read = {name for need in NEEDS.values() for name in need.settings}
+    assert read == {field.name for field in dataclasses.fields(EffectSettings)}, "`settings` in applicability.NEEDS"
+
+
 def test_a_speed_of_the_object_calls_for_rolling_shutter_where_times_are_known():
     scene = dataclasses.replace(with_data("rolling_shutter"), conditions=Conditions())
     assert called(scene) == []

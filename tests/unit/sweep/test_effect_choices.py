@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import pytest
 from by_hand import catalogue
 
-from shift3d.effects.applicability import NEEDS, Choice, choose
+from shift3d.effects.applicability import Choice, choose
 from shift3d.errors import InputError
-from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
@@ -77,11 +77,6 @@ def test_settings_that_no_effect_of_the_sweep_uses_are_named(overrides: tuple[st
     plan = plan_of(*overrides)
     assert plan.notes == expected
     assert all(line in plan_summary(plan) for line in expected)
-
-
-def test_it_is_known_of_each_setting_which_effects_use_it() -> None:
-    assert {*effect_choices._USERS} == {field.name for field in dataclasses.fields(EffectSettings)}
-    assert {effect for users in effect_choices._USERS.values() for effect in users} <= {*NEEDS}
 
 
 def test_an_effect_without_data_is_refused_with_what_would_supply_it() -> None:
