@@ -61,7 +61,7 @@ def with_data(*names: str) -> Scene:
         elif name == "snow":
             conditions = dataclasses.replace(conditions, weather="snow", snow_mm_h=5.0)
         else:
-            raise AssertionError(name)
+            raise AssertionError(f"with_data: add a branch with the scene's data for {name}")
     scene = dataclasses.replace(scene, sensor=sensor, conditions=conditions)
     scene.validate()
     return scene
