@@ -164,3 +164,7 @@ class CenterPointNet(PillarBackboneNet):
     def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE) -> None:
         super().__init__(spec)
         self.heads = CentreHeads(spec.up_channels * len(spec.strides))
+
+
+PILLAR_NETWORKS: dict[str, type[PillarBackboneNet]] = {"anchors": PointPillarsNet, "centres": CenterPointNet}
+"""Networks by their kind of heads."""

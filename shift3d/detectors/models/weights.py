@@ -13,14 +13,13 @@ from torch import Tensor
 
 from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.pillar_detectors import CenterPointNet, PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import PILLAR_NETWORKS
 from shift3d.detectors.models.sst import SST_SMALL_SPEC, SstNet
 from shift3d.errors import InputError
 
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[2] / "weights"
 NETWORKS: dict[str, Callable[[], DetectorNet]] = {
-    "pointpillars": PointPillarsNet,
-    "centerpoint": CenterPointNet,
+    **{network.name: network for network in PILLAR_NETWORKS.values()},
     "sst": SstNet,
     "sst_small": partial(SstNet, SST_SMALL_SPEC),
 }

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import isfinite, pi
-from typing import Literal
 
 from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.detectors.models.anchor_heads import AnchorSpec
 from shift3d.detectors.models.backbone import WAYMO_BACKBONE, BackboneSpec
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.pillar_detectors import CenterPointNet, PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import PILLAR_NETWORKS, PointPillarsNet
 from shift3d.detectors.models.sst import SstNet, SstSpec
 from shift3d.errors import InputError
 
@@ -80,7 +79,7 @@ class Augmentation:
 class Recipe:
     """Everything that decides the trained weights, beside the scenes. Threads are not part of it.
 
-    network, heads: sizes of the network, and kind of its heads; together they define the detector. anchor_size_m:
+    network, heads: sizes of the network, and kind of its heads (`PILLAR_NETWORKS`): the detector. anchor_size_m:
     length, width, height of the anchors: the means of published cars. grown_from: name of a detector whose shipped
     weights, doubled in width and depth, are the start; see `warm_start.grown`. backbone_from: name of a detector whose
     shipped encoder and backbone are the start, under heads of random weights.
@@ -103,7 +102,7 @@ class Recipe:
     """
 
     network: BackboneSpec | SstSpec = WAYMO_BACKBONE
-    heads: Literal["anchors", "centres"] = "anchors"
+    heads: str = "anchors"
     anchor_size_m: tuple[float, float, float] = (4.4, 1.8, 1.55)
     grown_from: str = ""
     backbone_from: str = ""
@@ -143,21 +142,21 @@ class Recipe:
         """Name of the detector with these sizes and heads."""
         if isinstance(self.network, SstSpec):
             return self.network.name
-        return "pointpillars" if self.heads == "anchors" else "centerpoint"
+        return PILLAR_NETWORKS[self.heads].name
 
     def new_network(self) -> DetectorNet:
         """Make an untrained network from torch's global random state."""
         anchors = AnchorSpec(self.anchor_size_m)
         if isinstance(self.network, SstSpec):
             return SstNet(self.network, anchors=anchors)
-        if self.heads == "centres":
-            return CenterPointNet(self.network)
-        return PointPillarsNet(self.network, anchors=anchors)
+        if self.heads == "anchors":
+            return PointPillarsNet(self.network, anchors=anchors)
+        return PILLAR_NETWORKS[self.heads](self.network)
 
     def validate(self, where: str = "recipe") -> Recipe:
         """Check the recipe and return it. Raises: InputError naming the first invalid field."""
-        possible = ("anchors", "centres") if isinstance(self.network, BackboneSpec) else ("anchors",)
-        _check(self.heads in possible, "heads", self.heads, where, "Give anchors, or for the pillar backbone centres")
+        possible = tuple(PILLAR_NETWORKS) if isinstance(self.network, BackboneSpec) else ("anchors",)
+        _check(self.heads in possible, "heads", self.heads, where, f"Give {' or '.join(possible)}")
         weights = self.code_weights
         possible_weights = len(weights) == 7 and all(0.0 <= weight < float("inf") for weight in weights)
         _check(possible_weights, "code_weights", weights, where, "Give seven numbers, 0 or more")
