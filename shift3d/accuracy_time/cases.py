@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from shift3d.attack.problem import AttackProblem
+from shift3d.detectors.nms import ScoresOnlyDetector
 from shift3d.errors import InputError
 from shift3d.placement.sampling import Placement
 from shift3d.render.field.sdf_grid import SdfGrid
@@ -68,11 +69,17 @@ def case_problem(
     """Set up the attack on a case as a task of this accuracy does, with the detector in the precision of the search.
 
     code: (d,) replaces the vehicle's latent code. grid: add an SDF grid of the code if the accuracy uses one.
+
+    Raises: InputError: the detector gives no gradient.
     """
     settings = dict(accuracy) if grid else {**accuracy, "sdf_grid": False}
     spec = dataclasses.replace(case.spec, accuracy_settings=settings)
     problem = build_problem(spec, assets, case.theta)
-    problem = dataclasses.replace(problem, detector=assets.detector_of(spec.detector, str(accuracy["detector"])))
+    detector = assets.detector_of(spec.detector, str(accuracy["detector"]))
+    if isinstance(detector, ScoresOnlyDetector):
+        what = f"the frontier measures gradients, and {detector.where} gives none"
+        raise InputError(what, f"detector={spec.detector}", "Give another detector=NAME")
+    problem = dataclasses.replace(problem, detector=detector)
     if code is not None and not torch.equal(code := code.to(problem.code0.dtype), problem.code0):
         space = problem.space
         if space is not None:

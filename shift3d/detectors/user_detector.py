@@ -1,8 +1,9 @@
 """The user's own detector, loaded from a Python file that the settings name.
 
 The file defines a function ``load(weights)``. It takes the path of a weight file, or None, and returns a function or
-module that maps points (N, 3) to boxes (A, 7) and logits (A,). docs/guides/detectors.md has an example. shift3d imports
-it, so its code runs with the rights of the user who starts the sweep. No other file named in the settings is executed.
+module that maps points (N, 3) to torch tensors, boxes (A, 7) and logits (A,); or to numpy arrays, boxes (A, 7) and
+scores (A,), which have no gradient. docs/guides/detectors.md has examples. shift3d imports the file, so its code runs
+with the rights of the user who starts the sweep. No other file named in the settings is executed.
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.names import OWN
-from shift3d.detectors.nms import NmsDetector
+from shift3d.detectors.nms import NmsDetector, ScoresOnlyDetector, probe_points
 from shift3d.errors import InputError
 
 Model = Callable[[Tensor], Any]
@@ -31,7 +34,6 @@ Model = Callable[[Tensor], Any]
 _WHOLE = BevWindow(0, 0, 1, 1, 0, 0, 1, 1)
 _GUIDE = "See docs/guides/detectors.md"
 _ALONE = "Install the library; what lies in a file beside it belongs into the file itself"
-_PROBE_POINTS = 2000
 
 
 class UserDetector(NmsDetector):
@@ -63,14 +65,38 @@ class UserDetector(NmsDetector):
         return Proposals(boxes.detach().float(), logits, torch.arange(len(logits)))
 
 
-def load_user_detector(module: Path, weights: Path | None, precision: Precision = "float32") -> UserDetector:
+class UserScores(ScoresOnlyDetector):
+    """Model of points (N, 3) that returns numpy arrays: boxes (A, 7) and scores (A,); A may vary. Not differentiable.
+
+    Args: model: gets points in float32. where: name of the file in error messages.
+    """
+
+    def __init__(self, model: Model, where: str) -> None:
+        super().__init__(OWN, where, "Return probabilities: the sigmoid of logits")
+        self._model = model
+
+    def answer(self, points: Tensor) -> tuple[NDArray[Any], NDArray[Any]]:
+        """See `ScoresOnlyDetector`. Raises InputError if the model fails or does not return two arrays."""
+        with _clear_errors(self.where):
+            found = self._model(points)
+        if not _is_arrays(found):
+            raise InputError("its answer is numpy arrays (boxes, scores) for some points only", self.where, _GUIDE)
+        with _clear_errors(self.where):
+            boxes, scores = (np.asarray(part, dtype=np.float64) for part in found)
+        return boxes, scores
+
+
+def load_user_detector(
+    module: Path, weights: Path | None, precision: Precision = "float32"
+) -> UserDetector | UserScores:
     """Load a detector from a Python file and test it on random points. ``load`` runs with a fixed torch seed.
 
     precision: "float64" converts the parameters of a torch module to float64; other values leave them unchanged. A
     function gets points in float32 at every precision, because its parameters cannot be converted.
 
     Raises InputError with the file and line if the file is missing, fails or has no ``load``, or if the model's output
-    is not as `UserDetector` requires, differs between two calls, or is not differentiable w.r.t. the points.
+    is not as `UserDetector` or `UserScores` requires, differs between two calls, or if tensors are not differentiable
+    w.r.t. the points.
     """
     if not module.is_file():
         raise InputError("no such file", str(module), "Give detector.module=FILE.py")
@@ -87,9 +113,22 @@ def load_user_detector(module: Path, weights: Path | None, precision: Precision 
         model = model.eval().requires_grad_(False)
         if precision == "float64":
             model, dtype = model.double(), torch.float64
+    with _clear_errors(str(module)):
+        is_arrays = _is_arrays(model(probe_points().to(dtype)))
+    if is_arrays:
+        scores = UserScores(model, str(module))
+        scores.try_on_random_points()
+        return scores
     detector = UserDetector(model, str(module), dtype)
     _try(detector, str(module))
     return detector
+
+
+def _is_arrays(answer: Any) -> bool:
+    """True for a pair of numpy arrays."""
+    return (
+        isinstance(answer, tuple | list) and len(answer) == 2 and all(isinstance(part, np.ndarray) for part in answer)
+    )
 
 
 class _SourceLoader(importlib.machinery.SourceFileLoader):
@@ -118,13 +157,11 @@ def _imported(path: Path) -> Any:
 
 
 def _try(detector: UserDetector, where: str) -> None:
-    draw = torch.Generator().manual_seed(0)
-    reach, corner = torch.tensor([80.0, 80.0, 3.0]), torch.tensor([40.0, 40.0, 0.0])
-    points = torch.rand(_PROBE_POINTS, 3, generator=draw) * reach - corner
-    points.requires_grad_()
+    points = probe_points().requires_grad_()
     first, second = detector.proposals(points), detector.proposals(points)
     if not first.logits.requires_grad:
-        raise InputError("its logits do not depend on the points differentiably", where, _GUIDE)
+        remedy = "Without a gradient, return numpy arrays: boxes (A, 7) and scores (A,) (docs/guides/detectors.md)"
+        raise InputError("its logits do not depend on the points differentiably", where, remedy)
     if not torch.equal(first.logits, second.logits) or not torch.equal(first.boxes, second.boxes):
         raise InputError("two calls with the same points differ", where, "Draw nothing at random in the model")
     with _clear_errors(where):
@@ -144,7 +181,8 @@ def _try(detector: UserDetector, where: str) -> None:
 
 def _checked(answer: Any, where: str) -> tuple[Tensor, Tensor]:
     if not isinstance(answer, tuple | list) or len(answer) != 2 or not all(isinstance(part, Tensor) for part in answer):
-        raise InputError("its answer is not (boxes, logits)", where, _GUIDE)
+        what = "its answer is neither torch tensors (boxes, logits) nor numpy arrays (boxes, scores)"
+        raise InputError(what, where, _GUIDE)
     boxes, logits = answer
     if boxes.ndim != 2 or boxes.shape[1] != 7 or logits.shape != boxes.shape[:1] or not len(logits):
         what = f"boxes {tuple(boxes.shape)} and logits {tuple(logits.shape)}, not (A, 7) and (A,)"

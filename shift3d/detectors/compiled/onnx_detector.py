@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.names import ONNX
-from shift3d.detectors.nms import NmsDetector
+from shift3d.detectors.nms import ScoresOnlyDetector
 from shift3d.errors import InputError
 from shift3d.store.user_cache import cache_file, cache_result, read_cached, source_digest
 
@@ -29,17 +26,10 @@ if TYPE_CHECKING:
     import onnxruntime
 
 _GUIDE = "See docs/guides/detectors.md, An ONNX file"
-_PROBE_POINTS = 2000
-_SATURATED = 2.0**-24
-"""Smallest distance of scores from 0 and 1, where logits are infinite; 1 minus this is the last float32 below 1."""
 
 
-class OnnxDetector(NmsDetector):
+class OnnxDetector(ScoresOnlyDetector):
     """ONNX session behind the `Detector` interface. The network gets the whole scene in every call.
-
-    The cells of a window are squares of 1 m, and cell (0, 0) begins at the origin of the network frame. A window
-    selects the boxes with centres in its core as proposals: a file without suppression outputs half a million boxes,
-    and computing all their overlaps costs more than the network.
 
     Args: session: of a file that `load_onnx` has checked. where: name of the file in error messages.
 
@@ -47,29 +37,18 @@ class OnnxDetector(NmsDetector):
     """
 
     def __init__(self, session: onnxruntime.InferenceSession, where: str) -> None:
-        self.name = ONNX
-        self._session, self._where = session, where
+        super().__init__(ONNX, where, "Put a Sigmoid before the output scores")
+        self._session = session
         self._input = session.get_inputs()[0].name
 
-    def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
-        """See `Detector`: the window applies to the centres of boxes."""
-        (x0, num_x), (y0, num_y) = (
-            (math.floor(centre - radius_m), math.ceil(centre + radius_m) - math.floor(centre - radius_m))
-            for centre in centre_xy
-        )
-        return BevWindow(x0, y0, num_x, num_y, x0, y0, num_x, num_y)
-
-    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """See `Detector`; float64 logits, no gradient. Raises InputError if the model fails or its output is bad."""
-        rows = points.detach().to(torch.float32).numpy()
+    def answer(self, points: Tensor) -> tuple[NDArray[Any], NDArray[Any]]:
+        """See `ScoresOnlyDetector`. Raises InputError if the model fails."""
+        rows = points.numpy()
         try:
             boxes, scores = self._session.run(["boxes", "scores"], {self._input: np.ascontiguousarray(rows)})
         except Exception as error:  # errors of ONNX Runtime have no narrower base class
-            raise InputError(f"it fails on {len(rows)} points: {_line(error)}", self._where, _GUIDE) from error
-        _check_answer(boxes, scores, self._where)
-        kept = np.arange(len(scores)) if window is None else np.flatnonzero(_inside(boxes, window))
-        logits = torch.logit(torch.from_numpy(scores[kept]).double(), eps=_SATURATED)
-        return Proposals(torch.from_numpy(boxes[kept]).float(), logits, torch.from_numpy(kept))
+            raise InputError(f"it fails on {len(rows)} points: {_line(error)}", self.where, _GUIDE) from error
+        return boxes, scores
 
 
 def load_onnx(path: Path) -> OnnxDetector:
@@ -102,10 +81,13 @@ def onnx_detector(content: bytes, where: str) -> OnnxDetector:
     except Exception as error:  # errors of ONNX Runtime have no narrower base class
         raise InputError(f"ONNX Runtime does not take it: {_line(error)}", where, _GUIDE) from error
     _check_interface(session, where)
-    detector, by = OnnxDetector(session, where), (onnxruntime.__version__, source_digest("detectors/compiled"))
+    detector, by = (
+        OnnxDetector(session, where),
+        (onnxruntime.__version__, source_digest("detectors/compiled", "detectors/nms.py")),
+    )
     tried = cache_file("tried_onnx", hashlib.blake2b(content).digest(), *by)
     if read_cached(tried) is None:  # the test makes three full forward passes: 11 s for PointPillars
-        _try(detector, where)
+        detector.try_on_random_points()
         cache_result(tried, where.encode())
     return detector
 
@@ -138,7 +120,7 @@ def _tensors(graph: Any) -> list[Any]:
 
 
 def _check_interface(session: onnxruntime.InferenceSession, where: str) -> None:
-    """Check names, types and ranks as far as the file declares them; `_try` checks the rest."""
+    """Check names, types and ranks as far as the file declares them; `try_on_random_points` checks the rest."""
     inputs = session.get_inputs()
     if len(inputs) != 1:
         raise InputError(f"it has the inputs {[part.name for part in inputs]}, not the points alone", where, _GUIDE)
@@ -152,35 +134,6 @@ def _check_interface(session: onnxruntime.InferenceSession, where: str) -> None:
         if outputs.get(name) not in ("tensor(float)", "tensor(double)"):
             what = f"its outputs are {outputs}, not boxes (A, 7) and scores (A,) of float32 or float64"
             raise InputError(what, where, _GUIDE)
-
-
-def _try(detector: OnnxDetector, where: str) -> None:
-    """Run the detector on two numbers of points, and twice on the same points."""
-    reach, corner = torch.tensor([80.0, 80.0, 3.0]), torch.tensor([40.0, 40.0, 0.0])
-    points = torch.rand(_PROBE_POINTS, 3, generator=torch.Generator().manual_seed(0)) * reach - corner
-    first, second = detector.proposals(points), detector.proposals(points)
-    if not torch.equal(first.logits, second.logits) or not torch.equal(first.boxes, second.boxes):
-        raise InputError("two calls with the same points differ", where, "Leave random operators out")
-    detector.proposals(points[: _PROBE_POINTS // 2])
-
-
-def _inside(boxes: NDArray[Any], window: BevWindow) -> NDArray[np.bool_]:
-    """Return the mask (A,) bool of boxes with their centre in the window's core."""
-    x, y = boxes[:, 0] - window.core_x0, boxes[:, 1] - window.core_y0
-    return (x >= 0) & (x < window.core_num_x) & (y >= 0) & (y < window.core_num_y)
-
-
-def _check_answer(boxes: NDArray[Any], scores: NDArray[Any], where: str) -> None:
-    if boxes.ndim != 2 or boxes.shape[1] != 7 or scores.shape != boxes.shape[:1]:
-        what = f"its answer is boxes {boxes.shape} and scores {scores.shape}, not (A, 7) and (A,)"
-        raise InputError(what, where, _GUIDE)
-    if not np.isfinite(boxes).all() or not np.isfinite(scores).all():
-        raise InputError("NaN or infinity in its answer", where, "Repair the model")
-    if len(scores) and not (scores.min() >= 0.0 and scores.max() <= 1.0):
-        what = f"its scores reach from {scores.min():g} to {scores.max():g}, not within [0, 1]"
-        raise InputError(what, where, "Put a Sigmoid before the output scores")
-    if (boxes[:, 3:6] <= 0).any():
-        raise InputError("boxes without a size in its answer", where, _GUIDE)
 
 
 def _line(error: Exception) -> str:

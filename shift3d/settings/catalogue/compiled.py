@@ -1,4 +1,4 @@
-"""Comparison of ONNX files with the detectors that they were exported from."""
+"""Detectors without a gradient; comparison of ONNX files with the detectors that they were exported from."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from shift3d.detectors.names import ONNX
+from shift3d.detectors.names import ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.detector_files import detector_layouts
 from shift3d.settings.schema.config import Config, DetectorConfig
@@ -23,10 +23,21 @@ _done: dict[str, str] = {}
 
 
 def refuse_gradient_search(config: Config) -> None:
-    """Refuse a gradient search on an ONNX file, which gives no gradient. Raises: InputError."""
-    if config.detector.name == ONNX and (search := config.attack.search) not in ("evolution", "random"):
-        what = f"attack.search={search} follows a gradient, and an ONNX file gives none"
-        raise InputError(what, "detector=onnx", "Give attack.search=evolution, or random")
+    """Refuse a gradient search on an ONNX file or a user's detector that returns scores. Raises: InputError."""
+    search, detector = config.attack.search, config.detector
+    if search in ("evolution", "random"):
+        return
+    if detector.name == ONNX or (detector.name == OWN and _returns_scores_only(detector)):
+        what = "an ONNX file" if detector.name == ONNX else f"{detector.module} (numpy arrays)"
+        what = f"attack.search={search} follows a gradient, and {what} gives none"
+        raise InputError(what, f"detector={detector.name}", "Give attack.search=evolution, or random")
+
+
+def _returns_scores_only(config: DetectorConfig) -> bool:
+    from shift3d.detectors.loading import detector_of
+    from shift3d.detectors.nms import ScoresOnlyDetector
+
+    return isinstance(detector_of(OWN, config.own_weights, config.module, "float32"), ScoresOnlyDetector)
 
 
 def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from shift3d.detectors.names import FOREIGN, ONNX
+from shift3d.detectors.names import FOREIGN, ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.progress_bar import progress_bar
 from shift3d.settings import messages
@@ -137,7 +137,7 @@ def _assets_key(config: Config) -> str:
     # A catalogue checks these settings for some detectors only: every value of such an axis is checked.
     placement = config.attack.placement
     checked = [config.attack.search, placement.min_range_m, placement.max_range_m, config.shift_m]
-    if not {ONNX, *FOREIGN} & set(config.detector.named()):
+    if not {ONNX, OWN, *FOREIGN} & set(config.detector.named()):
         checked = []
     return json.dumps([part.model_dump(mode="json") for part in parts] + [_vehicles(config), checked])
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -129,6 +131,58 @@ def test_a_file_that_changes_is_another_one(tmp_path: Path) -> None:
     assert not (tmp_path / "__pycache__").exists()
 
 
+NUMPY = "import numpy as np"
+NEAREST = """
+import numpy as np
+
+def detect(points):
+    x = points.numpy()
+    near = x[np.hypot(x[:, 0], x[:, 1]) < 10.0, :3]
+    boxes = np.tile(np.float32([0, 0, 0.8, 4.5, 1.9, 1.6, 0]), (len(near), 1))
+    boxes[:, :2] = near[:, :2]
+    return boxes, np.float32(1.0 - np.hypot(near[:, 0], near[:, 1]) / 10.0)
+
+def load(weights):
+    return detect
+"""
+
+
+def test_numpy_arrays_are_boxes_and_scores_without_a_gradient(tmp_path: Path) -> None:
+    """The number of boxes depends on the points, and a window takes the boxes inside it."""
+    path, at = tmp_path / "mine.py", torch.tensor([[3.0, 4.0, 1.0], [0.5, 0.0, 1.0], [40.0, 0.0, 1.0]])
+    path.write_text(NEAREST)
+    detector = load_user_detector(path, None, "float64")
+    found = detector.proposals(at.double().requires_grad_())
+    assert not found.logits.requires_grad
+    torch.testing.assert_close(found.boxes[:, :2], at[:2, :2])
+    torch.testing.assert_close(torch.sigmoid(found.logits), torch.tensor([0.5, 0.95]).double())
+    around = detector.proposals(at, detector.window_for((3.0, 4.0), 2.0))
+    assert around.anchor_index.tolist() == [0]
+    assert len(detector.proposals(at[2:]).logits) == 0 and len(detector.detect(at[2:]).scores) == 0
+    assert detector.detect(at).scores.tolist() == pytest.approx([0.95, 0.5])
+
+
+def test_the_guides_program_is_asked_for_boxes(tmp_path: Path) -> None:
+    """The program returns one box at the first point, with the number of points over 10,000 as its score."""
+    program, path = tmp_path / "detect", tmp_path / "mine.py"
+    answer = "[*points[0], 4.5, 1.9, 1.6, 0.0, len(points) / 1e4]"
+    program.write_text(
+        f"#!{sys.executable}\nimport sys\nimport numpy as np\n"
+        "points = np.frombuffer(sys.stdin.buffer.read(), dtype=np.float32).reshape(-1, 3)\n"
+        f"sys.stdout.buffer.write(np.float32({answer}).tobytes())\n"
+    )
+    program.chmod(0o755)
+    section = GUIDE.read_text().partition("### Without a gradient\n")[2]
+    source = re.search(r"```python\n(.*?)```", section, re.DOTALL)[1]  # type: ignore[index]
+    path.write_text(source.replace("/opt/perception/detect", str(program)))
+    found = load_user_detector(path, None).detect(at := points(3000))
+    assert found.scores.tolist() == pytest.approx([0.3])
+    np.testing.assert_allclose(found.boxes[0, :3], at[0].numpy())
+    program.write_text("#!/bin/sh\nexit 3\n")
+    with pytest.raises(InputError, match=r"mine\.py, line 12: CalledProcessError.*exit status 3"):
+        load_user_detector(path, None)
+
+
 def body(answer: str, before: str = "") -> str:
     return f"{HEAD}{before}\ndef load(weights):\n    return lambda points: {answer}\n"
 
@@ -141,7 +195,14 @@ def body(answer: str, before: str = "") -> str:
         ("x = 1\n", r"mine\.py: it has no function load"),
         ("def load(weights):\n    return 3\n", r"nothing that can be called"),
         ("def load(weights):\n    raise ValueError('no weights')\n", r"mine\.py, line 2: ValueError: no weights"),
-        (body("points.sum()"), r"not \(boxes, logits\)"),
+        (body("points.sum()"), r"neither torch tensors \(boxes, logits\) nor numpy arrays \(boxes, scores\)"),
+        (body("(np.ones((1, 6)), np.ones(1))", NUMPY), r"boxes \(1, 6\)"),
+        (body("(np.ones((2, 7)), np.ones(1))", NUMPY), r"scores \(1,\)"),
+        (body("(np.ones((1, 7)), np.full(1, 2.5))", NUMPY), r"scores reach from 2\.5 .*Return probabilities"),
+        (body("(np.ones((1, 7)), np.full(1, np.nan))", NUMPY), r"NaN or infinity"),
+        (body("(np.ones((1, 7)), np.random.rand(1))", NUMPY), r"two calls with the same points differ"),
+        (body("(np.ones((1, 7)), np.array(['a']))", NUMPY), r"mine\.py: ValueError"),
+        (body("(np.ones((1, 7)), np.ones(1)) if len(points) > 1500 else None", NUMPY), r"for some points only"),
         (body(f"({BOX}[:, :6], points.sum()[None])"), r"boxes \(1, 6\)"),
         (body(f"({BOX}, points.sum())"), r"logits \(\)"),
         (body(f"({BOX} * 0, points.sum()[None])"), r"boxes without a size"),

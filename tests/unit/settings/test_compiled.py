@@ -41,6 +41,17 @@ def test_a_search_by_scores_is_taken(search: str) -> None:
     assert configured(search).detector.weights_by_name() == {"onnx": "mine.onnx"}
 
 
+def test_a_users_file_is_searched_with_the_gradients_that_it_gives(tmp_path: Path) -> None:
+    """Numpy arrays have no gradient; the logits of `OWN_SOURCE` have one."""
+    tensors, arrays = tmp_path / "tensors.py", tmp_path / "arrays.py"
+    tensors.write_text(OWN_SOURCE)
+    arrays.write_text("import numpy as np\ndef load(weights): return lambda points: (np.ones((1, 7)), np.ones(1))\n")
+    refuse_gradient_search(configured("descent", name="own", file=None, module=str(tensors)))
+    refuse_gradient_search(configured("evolution", name="own", file=None, module=str(arrays)))
+    with pytest.raises(InputError, match=r"=descent follows a gradient, and .*arrays\.py \(numpy arrays\) gives none"):
+        refuse_gradient_search(configured("descent", name="own", file=None, module=str(arrays)))
+
+
 def test_beside_another_detector_any_search_goes() -> None:
     config = configured("descent", name="pointpillars", scored_by=["onnx"])
     refuse_gradient_search(config)
