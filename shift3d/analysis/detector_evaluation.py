@@ -32,7 +32,7 @@ from shift3d.evaluation.metrics import RANGES_M, Metric, evaluate
 from shift3d.progress_bar import progress_bar
 from shift3d.scenes.sets import SceneSet
 from shift3d.settings.catalogue.detector_files import file_hash
-from shift3d.settings.schema.scenes import KittiConfig, StreetConfig, scene_set
+from shift3d.settings.schema.scenes import FramesConfig, KittiConfig, OpenPcdetConfig, StreetConfig, scene_set
 from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
@@ -72,25 +72,30 @@ def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
     return figure
 
 
-def dataset_of(scenes: StreetConfig | KittiConfig) -> str:
+EvaluatedScenes = StreetConfig | KittiConfig | OpenPcdetConfig
+"""Scenes in which a detector can be evaluated: intervals resample frames, so frames must be independent."""
+
+
+def dataset_of(scenes: EvaluatedScenes) -> str:
     """Return the name of the evaluated scenes, as used in the tables and in the folder's name."""
-    if isinstance(scenes, KittiConfig):
-        return "kitti"
+    if isinstance(scenes, FramesConfig):
+        return scenes.kind
     traffic = f"-{scenes.traffic}" if scenes.traffic != "family" else ""
     return f"street-{scenes.sensor}-{scenes.split}{traffic}"
 
 
-def _identity(scenes: StreetConfig | KittiConfig) -> dict[str, object]:
+def _identity(scenes: EvaluatedScenes) -> dict[str, object]:
     """Return the settings that decide which scene a scene name refers to."""
-    if isinstance(scenes, KittiConfig):
-        return {"root": str(Path(scenes.root).expanduser().resolve())}
+    if isinstance(scenes, FramesConfig):
+        settings = scenes.model_dump(mode="json", include={"split", "sensor_m", "ground_z_m"})
+        return {"root": str(Path(scenes.root).expanduser().resolve()), **settings}
     traffic = {"traffic": scenes.traffic} if scenes.traffic != "family" else {}
     return {"sensor": scenes.sensor, "split": scenes.split, "seed": scenes.seed, **traffic}
 
 
 def evaluate_detector(
     name: str,
-    scenes: StreetConfig | KittiConfig,
+    scenes: EvaluatedScenes,
     out: Path,
     weights: str | None = None,
     module: str | None = None,
@@ -166,7 +171,13 @@ def write_evaluation(detector: str, dataset: str, answers: Sequence[SceneDetecti
     write_atomic(out / "curves.png", png(figure))
     took = np.median([answer.detect_ms for answer in answers])
     title = f"{detector} on {dataset}: {counted(len(answers), 'scene')}, {took:.0f} ms per scene (median, one thread)"
-    printed = [summary_table(title, groups), group_table(groups), metric_table("AP by every definition", metrics)]
+    printed: list[object] = [
+        summary_table(title, groups),
+        group_table(groups),
+        metric_table("AP by every definition", metrics),
+    ]
+    if not any(len(frame.truth.boxes) for frame in frames):
+        printed.append("No scene has a labelled vehicle. shift3d scenes show prints the labels that shift3d reads.")
     return (
         "\n\n".join(map(str, printed)) + f"\n{out} holds every number, curve, vehicle, detection and label as Parquet"
     )

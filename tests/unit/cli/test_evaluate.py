@@ -29,6 +29,14 @@ from shift3d.scenes.sets import StreetScenes
         (["detector=pointpillars", "root=x"], "root= means nothing for scenes=street"),
         (["detector=pointpillars", "scenes=kitti", "root=x", "split=val"], "split= means nothing for scenes=kitti"),
         (["detector=pointpillars", "scenes=kitti", "root=nowhere"], "no folder training/velodyne"),
+        (["detector=pointpillars", "scenes=openpcdet"], "Give root=PATH, the folder that holds points/ and labels/"),
+        (
+            ["detector=pointpillars", "scenes=openpcdet", "root=x", "sensor=hdl64"],
+            "sensor= means nothing for scenes=open",
+        ),
+        (["detector=pointpillars", "scenes=openpcdet", "root=x", "sensor_m=up"], "sensor_m='up' is no position"),
+        (["detector=pointpillars", "scenes=openpcdet", "root=x", "sensor_m=[1]"], "Change it with sensor_m=VALUE"),
+        (["detector=pointpillars", "scenes=openpcdet", "root=nowhere"], "no folder points/"),
         (["detector=pointpillars", "split=holdout"], "split='holdout' is unknown"),
         (["detector=pointpillars", "count=0"], "count='0' is not a whole number from 1"),
         (["detector=pointpillars", "count=2000000"], "count='2000000' is not a whole number from 1 to 1000000"),
@@ -75,11 +83,43 @@ def test_ones_own_detector_and_its_onnx_file_are_evaluated_alike(
     assert main(words) == 2 and "holds another evaluation" in capsys.readouterr().err
 
 
+def test_ones_own_frames_have_their_own_mounting_height(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Labels at the detector's boxes give an AP of 1. With another height of the ground the boxes miss them in 3D."""
+    ground = np.random.default_rng(0).uniform(-30, 30, (20_000, 2))
+    on_boxes = np.repeat(BOXES[:, :3], 10, axis=0) - [0.0, 0.0, 1.1]
+    points = np.concatenate((np.column_stack((ground, np.full(len(ground), -1.1))), on_boxes)).astype(np.float32)
+    for part in ("points", "labels"):
+        (tmp_path / "frames" / part).mkdir(parents=True)
+    np.save(tmp_path / "frames" / "points" / "a.npy", points)
+    lines = [" ".join(map(str, [x, y, z - 1.1, *rest, "Car"])) for x, y, z, *rest in BOXES.tolist()]
+    (tmp_path / "frames" / "labels" / "a.txt").write_text("\n".join(lines))
+    (tmp_path / "mine.py").write_text(OWN_SOURCE)
+    words = ["evaluate", "detector=own", f"module={tmp_path / 'mine.py'}", "scenes=openpcdet"]
+    for name, more, expected in (("own", [], 1.0), ("other", ["ground_z_m=-3"], 0.0)):
+        out = tmp_path / name
+        assert main([*words, f"root={tmp_path / 'frames'}", f"out={out}", *more]) == 0
+        assert "own on openpcdet: 1 scene," in capsys.readouterr().out
+        metrics = pd.read_parquet(out / "metrics.parquet")
+        rows = metrics[(metrics["view"] == "3D") & (metrics["num_truth"] == 2)]
+        np.testing.assert_allclose(rows.loc[rows["metric"] == "AP", "value"], expected, atol=1e-9)
+        assert len(rows)
+    (tmp_path / "frames" / "labels" / "a.txt").write_text("")
+    assert main([*words, f"root={tmp_path / 'frames'}", f"out={tmp_path / 'empty'}"]) == 0
+    assert "No scene has a labelled vehicle" in capsys.readouterr().out
+
+
 def test_completion() -> None:
     assert COMMAND.complete is not None
-    assert COMMAND.complete("scenes=") == ["scenes=street", "scenes=kitti"]
+    assert COMMAND.complete("scenes=") == ["scenes=street", "scenes=kitti", "scenes=openpcdet"]
     assert "detector=pointpillars" in COMMAND.complete("detector=")
-    assert COMMAND.complete("s") == ["scenes=", "sensor=", "split=", "sensor_height_m=", "score_threshold="]
+    assert COMMAND.complete("s") == [
+        "scenes=",
+        "sensor=",
+        "split=",
+        "sensor_m=",
+        "sensor_height_m=",
+        "score_threshold=",
+    ]
     assert COMMAND.complete("root=") == []
 
 
