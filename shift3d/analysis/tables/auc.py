@@ -12,9 +12,17 @@ from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_i
 from shift3d.analysis.tables.paper import paper_table_of
 from shift3d.analysis.tables.table import Cell, Table, between, number
 from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores, differing_settings
+from shift3d.detectors.names import FOREIGN, ONNX, OWN
 from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
 from shift3d.wording import counted
+
+_DEFAULT_DETECTOR = "pointpillars"
+_FILES_OF: dict[str, str] = {
+    OWN: " detector.module=FILE.py",
+    ONNX: " detector.file=FILE.onnx attack.search={search}",
+    **dict.fromkeys(FOREIGN, " detector.weights=FILE detector.config=FILE"),
+}
 
 
 def natural_table(scores: pd.DataFrame) -> Table | None:
@@ -53,14 +61,21 @@ def natural_search(scores: pd.DataFrame) -> str | None:
     rows = scores[scores["task_id"].isin(left) & ~scores["search"].str.contains("_within")]
     if rows.empty:
         return None
-    return f"Hard shapes that stay vehicles: make sweep SWEEP=natural{scenes_argument(set(rows['dataset']))}"
+    inputs = inputs_argument(set(rows["dataset"]), set(rows["detector"]), search="random")
+    return f"Hard shapes that stay vehicles: make sweep SWEEP=natural{inputs}"
 
 
-def scenes_argument(datasets: set[str]) -> str:
-    """Return the argument of ``make sweep`` that selects the only recorded data set; empty for streets, several sets or
-    none."""
-    recorded = [name for name in datasets if not name.startswith("street")]
-    return f' ARGS="scenes={recorded[0]} scenes.root=PATH"' if len(recorded) == len(datasets) == 1 else ""
+def inputs_argument(datasets: set[str], detectors: set[str], search: str = "evolution") -> str:
+    """Return the argument of ``make sweep`` that selects the only recorded data set and the only attacked detector.
+
+    Streets and the default detector need no word. Several data sets or detectors get none. search: of an ONNX file.
+    """
+    words = []
+    if len(datasets) == 1 and not (dataset := next(iter(datasets))).startswith("street"):
+        words.append(f"scenes={dataset} scenes.root=PATH")
+    if len(detectors) == 1 and (detector := next(iter(detectors))) != _DEFAULT_DETECTOR:
+        words.append(f"detector={detector}{_FILES_OF.get(detector, '').format(search=search)}")
+    return f' ARGS="{" ".join(words)}"' if words else ""
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:

@@ -30,7 +30,8 @@ def refuse_gradient_search(config: Config) -> None:
     if detector.name == ONNX or (detector.name == OWN and _returns_scores_only(detector)):
         what = "an ONNX file" if detector.name == ONNX else f"{detector.module} (numpy arrays)"
         what = f"attack.search={search} follows a gradient, and {what} gives none"
-        raise InputError(what, f"detector={detector.name}", "Give attack.search=evolution, or random")
+        remedy = "random" if config.attack.space == "family" else "evolution, or random"
+        raise InputError(what, f"detector={detector.name}", f"Give attack.search={remedy}")
 
 
 def _returns_scores_only(config: DetectorConfig) -> bool:

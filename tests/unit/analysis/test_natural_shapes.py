@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -17,11 +17,12 @@ from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import transfer_grid
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import ratio_interval
-from shift3d.analysis.tables.auc import auc_table, natural_search, natural_table, scenes_argument
+from shift3d.analysis.tables.auc import auc_table, inputs_argument, natural_search, natural_table
 from shift3d.analysis.tables.paper import paper_table, paper_table_of
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import interval_text
 from shift3d.analysis.variants import variants
+from shift3d.detectors.names import DetectorName
 from shift3d.store.log_entries import read_log
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.folder import read_plan
@@ -106,12 +107,14 @@ def test_natural_shapes_by_lambda() -> None:
 
 
 def test_a_sweep_of_unnatural_shapes_names_the_one_that_finds_natural_ones() -> None:
-    scores = judged_scores([True, True, False, False]).assign(dataset="street")
+    scores = judged_scores([True, True, False, False]).assign(dataset="street", detector="pointpillars")
     assert natural_search(scores) == "Hard shapes that stay vehicles: make sweep SWEEP=natural"
     frames = natural_search(scores.assign(dataset="kitti"))
     assert frames is not None and frames.endswith('SWEEP=natural ARGS="scenes=kitti scenes.root=PATH"')
     logs = natural_search(scores.assign(dataset="argoverse2"))
     assert logs is not None and logs.endswith('SWEEP=natural ARGS="scenes=argoverse2 scenes.root=PATH"')
+    own = natural_search(scores.assign(detector="own"))
+    assert own is not None and own.endswith('SWEEP=natural ARGS="detector=own detector.module=FILE.py"')
     assert natural_search(scores.assign(natural=True)) is None
     assert natural_search(scores.assign(natural=None)) is None, "not measured"
     assert natural_search(scores.assign(search="expectation_family_within95")) is None, "no command does better"
@@ -236,7 +239,15 @@ def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -
     assert "falls in 1 of 1 cells of 10 m" in shown and '"x-thin"' in shown and "+0.400" in shown
 
 
-def test_only_the_one_recorded_data_set_of_a_sweep_is_suggested() -> None:
-    assert scenes_argument({"waymo"}) == ' ARGS="scenes=waymo scenes.root=PATH"'
+def test_the_suggested_sweep_has_the_recorded_data_set_and_the_detector_of_this_one() -> None:
+    default = {"pointpillars"}
+    assert inputs_argument({"waymo"}, default) == ' ARGS="scenes=waymo scenes.root=PATH"'
     for several in ({"waymo", "kitti"}, {"street-hdl64"}, {"street-hdl64", "kitti"}, set()):
-        assert scenes_argument(several) == ""
+        assert inputs_argument(several, default) == ""
+    own = ' ARGS="scenes=openpcdet scenes.root=PATH detector=own detector.module=FILE.py"'
+    assert inputs_argument({"openpcdet"}, {"own"}) == own
+    assert inputs_argument({"street-hdl64"}, {"sst"}) == ' ARGS="detector=sst"'
+    assert inputs_argument({"street-hdl64"}, {"pointpillars", "sst"}) == ""
+    for name in get_args(DetectorName):
+        needs = {"own": "module", "onnx": "file", "openpcdet": "config", "mmdet3d": "config"}.get(name, "")
+        assert f"detector.{needs}" in inputs_argument({"street-hdl64"}, {name}) or not needs

@@ -35,6 +35,14 @@ def test_a_search_with_gradients_is_refused_with_the_remedy(search: str) -> None
         refuse_gradient_search(configured(search))
 
 
+def test_the_search_over_kinds_without_a_gradient_is_random() -> None:
+    """Evolution stays with one kind, so it is no remedy."""
+    config = configured("expectation")
+    config = config.model_copy(update={"attack": config.attack.model_copy(update={"space": "family"})})
+    with pytest.raises(InputError, match=r"Give attack\.search=random$"):
+        refuse_gradient_search(config)
+
+
 @pytest.mark.parametrize("search", ["evolution", "random"])
 def test_a_search_by_scores_is_taken(search: str) -> None:
     refuse_gradient_search(configured(search))
