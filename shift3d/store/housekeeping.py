@@ -99,7 +99,7 @@ class CompactionResult:
 def compact(folder: LocationLike) -> CompactionResult:
     """Merge all commits into one log entry and one segment per table. Row order and the bytes of final/ do not change.
 
-    The compaction opens a session, so a running driver is stopped at its next commit. The new entry replaces the old
+    The compaction opens a session, so a running driver stops within seconds. The new entry replaces the old
     segments by the new ones in one step; only then are the old files removed.
 
     Raises: InputError: the folder has no log, it is damaged, another driver began meanwhile, or the disk is full.

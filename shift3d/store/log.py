@@ -1,7 +1,8 @@
 """Commit log: numbered JSON files, the only record of the finished tasks.
 
 One driver appends entries. Entry n is created only if absent, so of two drivers one is stopped at its next commit. Each
-driver begins with a session entry, which stops every earlier driver that still runs. A compaction writes one entry that
+driver begins with a session entry, which stops every earlier driver that still runs: that driver looks for it between
+commits, so that long tasks do not delay its end. A compaction writes one entry that
 replaces all entries before it; older session entries stay, since they stop a driver that slept meanwhile.
 
 Source: our choice (design section 9).
@@ -9,6 +10,7 @@ Source: our choice (design section 9).
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
@@ -142,13 +144,24 @@ class CommitLog:
             raise
         if not created:
             self._discard(segments)
-            raise TakenOverError(
-                f"another driver took this sweep over ({_driver_of(path)} wrote entry {sequence})",
-                where=str(self.folder),
-                remedy="Let it finish, or stop it and run the same command again: it resumes",
-            )
+            raise self._taken_over(path)
         self._take(entry_of(values, sequence))
         return self.entries[-1]
+
+    def check_own(self) -> None:
+        """Raise TakenOverError if another driver has appended an entry. If the store cannot answer, do nothing."""
+        path, found = self.folder / "_log" / entry_name(self._next), False
+        with contextlib.suppress(OSError, InputError):
+            found = path.is_file()
+        if found:
+            raise self._taken_over(path)
+
+    def _taken_over(self, path: Location) -> TakenOverError:
+        return TakenOverError(
+            f"another driver took this sweep over ({_driver_of(path)} wrote entry {self._next})",
+            where=str(self.folder),
+            remedy="Let it finish, or stop it and run the same command again: it resumes",
+        )
 
     def _take(self, entry: Commit) -> None:
         self.entries.append(entry)

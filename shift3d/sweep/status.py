@@ -63,7 +63,10 @@ class StatusWriter:
         self._peak_mb = max(self._peak_mb, peak_mb)
 
     def write(self, running: Sequence[Running], workers: int, state: State = "running") -> None:
-        """Write the file, unless it was just written. A failure is ignored: the log counts without a status."""
+        """Write the file, unless it was just written. A failure is ignored: the log counts without a status.
+
+        Raises: TakenOverError: another driver runs the sweep, and writes the file.
+        """
         if len(self._log.entries) != self._entries:
             self._entries, self._committed_unix_s = len(self._log.entries), time.time()
         now = time.monotonic()
@@ -71,6 +74,7 @@ class StatusWriter:
             return
         if state == "running":
             self._written = now
+            self._log.check_own()
         values = {
             "driver": self._log.driver,
             "host": socket.gethostname(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,6 +33,20 @@ def test_a_second_driver_stops_the_first(drivers: Drivers, undisturbed: dict[str
         for name in json.loads(entry.read_text())["segments"].values()
     }
     assert {path.name for path in (drivers.folder / "out" / "data").iterdir()} == listed, "an orphan segment is left"
+
+
+def test_a_second_driver_stops_a_first_whose_tasks_are_long(drivers: Drivers) -> None:
+    """Else the first would keep its workers, of which a cluster has few, until a task that nobody wants has ended."""
+    first = drivers.start("out", "runner.workers=1", SHIFT3D_TEST_HANGS="coupe/street_000/pose")
+    status = drivers.folder / "out" / "status.json"
+    deadline = time.monotonic() + 90
+    while not (status.exists() and json.loads(status.read_text())["running"]):
+        assert time.monotonic() < deadline, "the first driver runs no task"
+        time.sleep(0.1)
+    code, _, second_errors = drivers.run("out", "runner=local")
+    assert code == 0, second_errors
+    _, errors = first.communicate(timeout=30)
+    assert first.returncode == 4 and "another driver took this sweep over" in errors.splitlines()[-1]
 
 
 def test_a_folder_of_another_spec_is_refused_and_left_alone(drivers: Drivers, finished: Path) -> None:

@@ -10,9 +10,8 @@ from shift3d.wording import counted
 
 _DESCRIPTION = """\
 Merges the commit log of a sweep into one entry and its segments into one file per table, so that commands read them
-faster. Results and final tables do not change, and the sweep still resumes. The command stops a running driver at the
-driver's next commit; the sweep's command resumes the sweep. A kill at any moment leaves a readable folder: run the
-command again."""
+faster. Results and final tables do not change, and the sweep still resumes. The command stops a running driver within
+seconds; the sweep's command resumes the sweep. A kill at any moment leaves a readable folder: run the command again."""
 
 _EPILOG = """\
 examples:

@@ -16,7 +16,7 @@ import valid_sweeps
 from shift3d.errors import InputError
 from shift3d.settings.schema.config import LocalRunnerConfig
 from shift3d.store.housekeeping import compact
-from shift3d.store.log import CommitLog
+from shift3d.store.log import CommitLog, TakenOverError
 from shift3d.sweep.drive import run_sweep
 from shift3d.sweep.planning.folder import read_environment
 from shift3d.sweep.planning.kind import TaskKind
@@ -88,6 +88,18 @@ def test_another_driver_takes_an_unfinished_sweep_over(tmp_path: Path) -> None:
     unfinished(tmp_path, "running")
     other = CommitLog(tmp_path, HASH)
     assert f"taken over by driver {other.driver}" in message(tmp_path)
+
+
+def test_a_driver_that_was_superseded_stops_before_its_next_commit_and_leaves_the_status_alone(tmp_path: Path) -> None:
+    valid_sweeps.write_sweep(tmp_path)
+    first = CommitLog(tmp_path, HASH)
+    earlier = StatusWriter(first, 2)
+    other = CommitLog(tmp_path, HASH)
+    StatusWriter(other, 2).write([], 1)
+    before = (tmp_path / "status.json").read_bytes()
+    with pytest.raises(TakenOverError, match=f"driver {other.driver} wrote entry"):
+        earlier.write([], 1)
+    assert (tmp_path / "status.json").read_bytes() == before
 
 
 def test_a_driver_speaks_before_its_first_task(tmp_path: Path) -> None:
