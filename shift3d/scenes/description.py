@@ -26,6 +26,7 @@ def describe_scene(scene: Scene) -> list[str]:
         ("ground", f"at {scene.ground_z_m:.2f} m, the sensor at 0"),
         ("map", _map(scene)),
         ("labels", _labels(scene)),
+        *([("vehicles", vehicles)] if (vehicles := _vehicles(scene)) else []),
         ("conditions", _conditions(scene)),
     ]
     if scene.in_no_label_zone is not None:
@@ -67,6 +68,17 @@ def _labels(scene: Scene) -> str:
     kinds = ", ".join(f"{count} {name}" for name, count in sorted(Counter(labels.classes).items()))
     empty = int((labels.num_points == 0).sum())
     return f"{kinds}; {counted(empty, 'box', 'boxes')} without points"
+
+
+def _vehicles(scene: Scene) -> str | None:
+    """Return the median size of the labelled vehicles; swapped columns and other frames show in it."""
+    boxes = scene.labels.of_class("vehicle").reshape(-1, 7)
+    if not len(boxes):
+        return None
+    length, width, height = np.median(boxes[:, 3:6], axis=0)
+    bottom = float(np.median(boxes[:, 2] - boxes[:, 5] / 2)) - scene.ground_z_m
+    where = f"{abs(bottom):.2f} m {'above' if bottom >= 0 else 'below'} the ground"
+    return f"medians: {length:.2f} m long, {width:.2f} m wide, {height:.2f} m high, bottom {where}"
 
 
 def _conditions(scene: Scene) -> str:

@@ -74,7 +74,8 @@ class OpenPcdetScenes(RecordedScenes):
     A scene's origin is the LiDAR: points and boxes are moved there. A frame's points are rows of x, y, z and, from four
     columns on, reflectance. A label is ``x y z dx dy dz heading class``: box centre, heading counter-clockwise from +x.
 
-    Raises InputError: no folder points/, no file of the split, or a listed frame that does not exist.
+    Raises InputError: no folder points/, no file of the split, a listed frame that does not exist, or a ground that is
+    not below the LiDAR.
     """
 
     dataset = "openpcdet"
@@ -93,6 +94,10 @@ class OpenPcdetScenes(RecordedScenes):
         super().__init__(root, names, count, list_unreadable)
         self.sensor_m, self.ground_z_m, self.reflectance_max = tuple(sensor_m), ground_z_m, reflectance_max
         self._split = split
+        if ground_z_m is not None and ground_z_m >= self.sensor_m[2]:
+            what = f"the ground at {ground_z_m:g} m is not below the LiDAR at {self.sensor_m[2]:g} m"
+            remedy = "Give the height in the frame of the points: negative if the LiDAR is at the origin"
+            raise InputError(what, "scenes.ground_z_m", remedy)
         inside = names_in(self.root)
         if "points" not in inside:
             raise InputError("no folder points/", str(self.root), "Give the folder that holds points/ and labels/")

@@ -50,8 +50,8 @@ def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
 
 
 NO_GROUND = (
-    "where no ground is seen, lower attack.placement.max_range_m: returns lie closer there; with scenes=openpcdet give "
-    "the ground's height, scenes.ground_z_m; see in the picture of shift3d scenes show that z points up"
+    "where no ground is seen, lower attack.placement.max_range_m: scan lines lie closer there; see that shift3d scenes "
+    "show prints the right height of the ground (scenes.ground_z_m changes it for openpcdet), and that z points up"
 )
 """Remedy if `Survey.lacks_ground`."""
 

@@ -11,6 +11,7 @@ import pytest
 
 from shift3d.errors import InputError
 from shift3d.scenes.argoverse2 import log as argoverse2
+from shift3d.scenes.description import describe_scene
 from shift3d.scenes.kitti import files as kitti
 from shift3d.scenes.nuscenes.tables import class_of as nuscenes_class_of
 from shift3d.scenes.openpcdet import OpenPcdetScenes, class_of
@@ -57,7 +58,7 @@ def test_rows_of_zeros_are_beams_without_a_return(tmp_path: Path, sensor_m: tupl
     scene = OpenPcdetScenes(write(tmp_path, cloud), sensor_m=sensor_m).load("000001")
     assert scene.has_beam.sum() == len(moved) and not scene.has_beam[:8000].any()
     assert scene.ground_z_m == pytest.approx(-1.7, abs=0.011)
-    nothing = OpenPcdetScenes(write(tmp_path, np.zeros((9, 4), np.float32)), ground_z_m=0.0)
+    nothing = OpenPcdetScenes(write(tmp_path, np.zeros((9, 4), np.float32)), ground_z_m=-1.0)
     with pytest.raises(InputError, match="no point with a positive range"):
         nothing.load("000001")
 
@@ -73,6 +74,13 @@ def test_a_sensor_away_from_the_origin_becomes_the_origin(tmp_path: Path) -> Non
     assert scene.ground_z_m == pytest.approx(-1.7, abs=0.011)
     stated = OpenPcdetScenes(tmp_path, sensor_m=sensor, ground_z_m=0.2).load("000001")
     assert stated.ground_z_m == pytest.approx(-1.7)
+
+
+@pytest.mark.parametrize(("ground_z_m", "height_m"), [(1.1, 0.0), (0.0, 0.0), (1.9, 1.9)])
+def test_a_ground_that_is_not_below_the_sensor_is_refused(tmp_path: Path, ground_z_m: float, height_m: float) -> None:
+    """Typical mistake: the sensor's height above the ground in place of the ground's height in the frame."""
+    with pytest.raises(InputError, match=r"scenes\.ground_z_m: .* not below the LiDAR .*negative"):
+        OpenPcdetScenes(write(tmp_path), sensor_m=(0.0, 0.0, height_m), ground_z_m=ground_z_m)
 
 
 @pytest.mark.parametrize("ground_z_m", [-0.6, -1.2, -2.1, -3.4])
@@ -109,6 +117,16 @@ def test_frames_are_chosen(tmp_path: Path) -> None:
         OpenPcdetScenes(tmp_path, split="train")
     with pytest.raises(InputError, match="no folder points/"):
         OpenPcdetScenes(tmp_path / "points")
+
+
+def test_the_description_shows_swapped_columns_and_boxes_that_are_given_by_their_bottoms(tmp_path: Path) -> None:
+    """Medians over the vehicles alone; the boxes of two labels differ by 20 cm in each size."""
+    labels = "12 3 -1.7 1.9 4.5 1.6 0 Car\n-9 3 -1.8 2.1 4.7 1.8 0 Van\n9 9 5 1 1 1 0 Pedestrian\n"
+    scene = OpenPcdetScenes(write(tmp_path, labels=labels), ground_z_m=-1.7).load("000001")
+    line = next(line for line in describe_scene(scene) if line.startswith("vehicles:"))
+    assert line.endswith("2.00 m long, 4.60 m wide, 1.70 m high, bottom 0.90 m below the ground")
+    without = OpenPcdetScenes(write(tmp_path, labels=""), ground_z_m=-1.7).load("000001")
+    assert not any("vehicles" in line for line in describe_scene(without))
 
 
 def test_names_of_classes() -> None:
