@@ -156,12 +156,12 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
 
 
 def _notes(config: Config, scenes: SceneSet, names: Sequence[str], preview: bool) -> tuple[str, ...]:
-    """Return notes on named scenes beyond scenes.count, and on the ONNX comparison, which a preview leaves out."""
+    """Return notes on named scenes beyond scenes.count, and on the ONNX comparison, which a preview does not make."""
     notes = []
     wanted = config.scenes.names if isinstance(config.scenes, FramesConfig) else None
     if wanted and config.scenes.count is not None and config.scenes.count < len(wanted):
         notes.append(f"{config.scenes.count} of {len(wanted)} named scenes: scenes.count={config.scenes.count}")
-    if config.detector.file is not None and not preview:
+    if config.detector.file is not None and not (preview and config.detector.original):
         notes.append(compare_with_original(config.detector, scenes, names))
     return tuple(notes)
 

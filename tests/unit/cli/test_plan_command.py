@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import valid_frames
+from onnx_files import write_model
 
 from shift3d.cli.main import main
 from shift3d.scenes.sets import StreetScenes
@@ -67,6 +68,15 @@ def test_named_frames_that_the_count_leaves_out_are_said(tmp_path: Path, capsys:
     assert "1 of 2 named scenes: scenes.count=1" in capsys.readouterr().out
     assert main(["plan", "default", *words, "scenes.count=2"]) == 0
     assert "named scenes" not in capsys.readouterr().out
+
+
+def test_a_plan_says_that_an_onnx_file_has_no_original(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_model(tmp_path / "mine.onnx")
+    onnx = ["detector=onnx", "detector.file=mine.onnx", "detector.scored_by=[]", "attack.search=evolution"]
+    assert main(["plan", "default", *ONE, *onnx]) == 0
+    assert "mine.onnx: scores are compared with no original" in capsys.readouterr().out
+    assert main(["plan", "default", *ONE, *onnx, "detector.original=pointpillars"]) == 0
+    assert "compared" not in capsys.readouterr().out, "the sweep compares, not the plan"
 
 
 def test_a_plan_of_many_streets_makes_none(
