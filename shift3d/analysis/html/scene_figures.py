@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,7 +23,8 @@ from shift3d.vehicles.picture import shaded
 FloatArray = NDArray[np.float64]
 RGB = tuple[float, float, float]
 _TILE_PX, _SPAN_M = (170, 105), 5.6
-_EYE = {"x": 1.15, "y": 1.15, "z": 0.55}
+_TOWARDS_EYE = np.array([1.15, 1.15, 0.55]) / np.linalg.norm([1.15, 1.15, 0.55])
+_VIEW_ANGLE, _ASPECT = math.pi / 4, 1.9  # vertical angle of plotly's camera; style.css gives 3D views this aspect
 _LIGHT = {"ambient": 0.55, "diffuse": 0.7, "specular": 0.15, "roughness": 0.7}
 _NO_MARGIN = {"l": 0, "r": 0, "t": 0, "b": 0}
 _PAIR = ("baseline", "adversarial")
@@ -37,7 +40,7 @@ def paired_3d_views(key: str, case: Case, before: Rendered, after: Rendered) -> 
         label = f"3D view of the {case.vehicle.replace('_', ' ')}, {name}, score {rendered.score:.2f}"
         caption = f"{name.capitalize()}: score {rendered.score:.3f}, {rendered.object_points} points on the vehicle"
         traces = [_trace(*mesh, COLOURS[name])]
-        views.append(plot(f"{key}-{name}", traces, layout, label, caption, 300, pair=f"{key}-{other}"))
+        views.append(plot(f"{key}-{name}", traces, layout, label, caption, pair=f"{key}-{other}"))
     return Panels(views), TurnButtons(f"{key}-baseline", "both vehicles")
 
 
@@ -55,13 +58,23 @@ def _trace(vertices: NDArray[np.float32], faces: NDArray[np.int32], colour: str)
 
 
 def _stage(low: FloatArray, high: FloatArray) -> dict[str, Any]:
-    """Create hidden axes in true proportion, the same for both vehicles."""
+    """Create hidden axes in true proportion, the same for both vehicles, and a camera that sees the whole stage."""
     extent = high - low
+    eye = dict(zip("xyz", (_TOWARDS_EYE * _distance(extent / extent.mean())).tolist()))
     hidden = {
         f"{name}axis": {"visible": False, "range": [float(low[i]), float(high[i])]} for i, name in enumerate("xyz")
     }
     ratio = {name: float(extent[i] / extent.mean()) for i, name in enumerate("xyz")}
-    return {**hidden, "aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": _EYE}, "dragmode": "turntable"}
+    return {**hidden, "aspectmode": "manual", "aspectratio": ratio, "camera": {"eye": eye}, "dragmode": "turntable"}
+
+
+def _distance(size: FloatArray) -> float:
+    """Compute the least distance from which a camera at `_TOWARDS_EYE` sees a box of this size (3,) around 0."""
+    right = np.array([-_TOWARDS_EYE[1], _TOWARDS_EYE[0], 0.0]) / np.hypot(*_TOWARDS_EYE[:2])
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
+    across, up, near = (corners @ side for side in (right, np.cross(_TOWARDS_EYE, right), _TOWARDS_EYE))
+    half = math.tan(_VIEW_ANGLE / 2)
+    return float(np.max(near + np.maximum(np.abs(across) / _ASPECT, np.abs(up)) / half))
 
 
 def top_views(key: str, case: Case, before: Rendered, after: Rendered, centre_xy: FloatArray) -> Panels:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 import valid_sweeps
+from matplotlib.image import imread
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from shift3d.analysis.cases.rendered import Rendered
@@ -120,5 +122,35 @@ def test_both_vehicles_turn_together_by_keyboard_and_by_drag(browser: Browser, t
     page.mouse.up()
     page.wait_for_timeout(1500)
     assert eyes(page)[0] != turned[0]
+    assert words == []
+    page.close()
+
+
+@pytest.mark.parametrize("width", [400, 800, 1280])
+def test_both_vehicles_are_whole(browser: Browser, two_cars: Path, width: int) -> None:
+    page, words = opened(browser, two_cars, width)
+    page.wait_for_timeout(1000)
+    for view in page.locator(".plot").all():
+        pixels = imread(io.BytesIO(view.screenshot()))[..., :3]
+        ground = np.median(pixels, axis=(0, 1))
+        vehicle = np.abs(pixels - ground).max(axis=2) > 0.1
+        rows, columns = vehicle.any(axis=1), vehicle.any(axis=0)
+        margin = 4  # rounded corners
+        assert vehicle.mean() > 0.05
+        assert not rows[margin] and not rows[-margin - 1] and not columns[margin] and not columns[-margin - 1]
+    assert words == []
+    page.close()
+
+
+def test_a_printed_page_holds_whole_figures(browser: Browser, report: Path) -> None:
+    page, words = opened(browser, report)
+    widths = """() => [...document.querySelectorAll(".plot")].filter(plot => plot.offsetParent)
+        .map(plot => [plot.clientWidth, plot.querySelector("svg, canvas").getBoundingClientRect().width])"""
+    screen = page.evaluate(widths)
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    paper = page.evaluate(widths)
+    assert len(paper) > 0 and all(drawn == own <= 190 / 25.4 * 96 for own, drawn in paper)  # A4 less two margins
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate(widths) == screen
     assert words == []
     page.close()

@@ -14,6 +14,7 @@ PACKAGE = TEMPLATES.parents[2]
 def test_every_rule_is_of_a_tag_or_class_that_pages_have() -> None:
     markup = "".join(file.read_text() for file in TEMPLATES.glob("*.html"))
     code = "".join(file.read_text() for room in ("analysis", "finetuning") for file in (PACKAGE / room).rglob("*.py"))
+    code += (TEMPLATES / "script.js").read_text()
     rules = re.findall(r"([^{}]+)\{[^{}]*\}", (TEMPLATES / "style.css").read_text())
     parts = [part for rule in rules for part in re.split(r"[\s,>]+", rule.strip())]
     tags = {found[0] for part in parts if (found := re.match(r"[a-z]+\d?", part))}

@@ -28,7 +28,15 @@
     for (const entry of entries) if (entry.isIntersecting) { seen.unobserve(entry.target); draw(entry.target); }
   }, {rootMargin: "600px"});
   plots.forEach(plot => seen.observe(plot));
-  addEventListener("beforeprint", () => plots.forEach(draw));
+  // The style of a printing page fits A4 and Letter. Plots.resize would wait until after the print.
+  const printing = starts => {
+    document.documentElement.classList.toggle("printing", starts);
+    for (const plot of plots.filter(each => each.offsetParent)) {
+      if (plot.dataset.drawn === "yes") Plotly.relayout(plot, {autosize: true}); else if (starts) draw(plot);
+    }
+  };
+  addEventListener("beforeprint", () => printing(true));
+  addEventListener("afterprint", () => printing(false));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     for (const plot of plots) if (plot.dataset.drawn === "yes") {
       Plotly.relayout(plot, {"font.color": colour("--text")});
