@@ -149,12 +149,14 @@ class CommitLog:
         return self.entries[-1]
 
     def check_own(self) -> None:
-        """Raise TakenOverError if another driver has appended an entry. If the store cannot answer, do nothing."""
-        path, found = self.folder / "_log" / entry_name(self._next), False
-        with contextlib.suppress(OSError, InputError):
-            found = path.is_file()
-        if found:
-            raise self._taken_over(path)
+        """Raise TakenOverError if another driver has appended an entry; other errors if the store cannot say.
+
+        An entry of this driver is none: a commit whose answer got lost may have written it.
+        """
+        path = self.folder / "_log" / entry_name(self._next)
+        with contextlib.suppress(FileNotFoundError):
+            if json.loads(path.read_bytes()).get("driver") != self.driver:
+                raise self._taken_over(path)
 
     def _taken_over(self, path: Location) -> TakenOverError:
         return TakenOverError(

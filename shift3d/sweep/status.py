@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
+from shift3d.store.log import CommitLog, TakenOverError
 from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.wording import counted, duration
 
 if TYPE_CHECKING:
-    from shift3d.store.log import CommitLog
     from shift3d.sweep.execution.worker import Running
 
 _FILE = "status.json"
@@ -74,7 +74,6 @@ class StatusWriter:
             return
         if state == "running":
             self._written = now
-            self._log.check_own()
         values = {
             "driver": self._log.driver,
             "host": socket.gethostname(),
@@ -92,8 +91,12 @@ class StatusWriter:
             "left_out": list(self._left_out[:_SHOWN]),
         }
         try:
+            if state == "running":
+                self._log.check_own()
             (self._log.folder / _FILE).write_atomic(json.dumps(values, indent=1).encode() + b"\n")
-        except (InputError, OSError):
+        except TakenOverError:
+            raise
+        except (InputError, OSError, ValueError):
             return
 
 
