@@ -79,11 +79,14 @@ def retrieval_words(prefix: str, **_: Any) -> list[str]:
 
 
 def overrides(prefix: str) -> list[str]:
-    """Complete ``group=option``, ``group.setting=``, ``setting=value``, ``out=`` and ``reuse=``."""
+    """Complete ``group=option``, ``group.setting=``, ``setting=value``, ``out=`` and ``reuse=``; the last value of an
+    axis, as in ``group=option,option``."""
     key, equals, value = prefix.partition("=")
     if equals:
-        found = files(f"conf/{key}") if key.isidentifier() else []
-        return [f"{key}={option}" for option in [*found, *_settings().get(key, ())] if option.startswith(value)]
+        options = [*(files(f"conf/{key}") if key.isidentifier() else []), *_settings().get(key, ())]
+        before, comma, last = value.rpartition(",")
+        left = [option for option in options if option not in before.split(",") and option.startswith(last)]
+        return [f"{key}={before}{comma}{option}" for option in left]
     return [f"{name}=" for name in ["out", "reuse", *sorted(_settings())] if name.startswith(prefix)]
 
 

@@ -158,3 +158,5 @@ def test_the_shell_is_offered_both(team: Path) -> None:
     assert set(overrides("attack=")) == {"attack=paper", "attack=short", "attack=tiny"}
     assert {"job=my_cluster", "job=local"} <= set(plan_words("job="))
     assert {"attack.steps="} == set(overrides("attack.steps"))
+    assert overrides("attack=paper,s") == ["attack=paper,short"], "the last value of an axis"
+    assert set(overrides("attack=paper,")) == {"attack=paper,short", "attack=paper,tiny"}
