@@ -222,9 +222,12 @@ def run_time_lines(
         return f"{progress}nothing is left to run"
     found = expected(left, [*timings, *own, *others])
     workers = runner.workers_on(usable_cpus()) if isinstance(runner, RayRunnerConfig) else 1
+    # The plan connects to no cluster, whose size is unknown.
+    here = isinstance(runner, RayRunnerConfig) and runner.address and not runner.workers
+    whose = "the CPUs of this machine, not of the cluster: " if here else ""
     mean, wall = found.seconds / len(left), found.seconds / min(workers, len(left))
     text = (
-        f"{progress}expected run time: {duration(wall)} with {counted(workers, 'worker')} (runner.workers=N), "
+        f"{progress}expected run time: {duration(wall)} with {counted(workers, 'worker')} ({whose}runner.workers=N), "
         f"{found.seconds / 3600:.3g} core-hours, for {counted(len(left), 'task')} of {duration(mean)}\n"
         f"  from {found.source}"
     )

@@ -40,6 +40,11 @@ def test_time_is_that_of_the_cpus_that_this_process_may_use(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     assert main(["plan", "default", "scenes.count=2", *ONE]) == 0
     assert " with 1 worker (runner.workers=N)" in capsys.readouterr().out
+    assert main(["plan", "default", "scenes.count=2", *ONE, "job=ray_cluster"]) == 0
+    unknown = " with 1 worker (the CPUs of this machine, not of the cluster: runner.workers=N)"
+    assert unknown in capsys.readouterr().out
+    assert main(["plan", "default", "scenes.count=8", *ONE, "job=ray_cluster", "runner.workers=8"]) == 0
+    assert " with 8 workers (runner.workers=N)" in capsys.readouterr().out
 
 
 def test_places_of_each_scene_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
