@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -12,6 +13,9 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.settings.schema.config import MlflowConfig, NoTrackingConfig
     from shift3d.sweep.drive import SweepResult
+
+DEFAULT_STORE = "sqlite:///mlflow.db"
+"""MLflow store that ``shift3d ui`` shows unless another one is named."""
 
 
 def interrupted(result: SweepResult, what: str = "done", command: str = "") -> int:
@@ -36,4 +40,6 @@ def mirror(tracking: MlflowConfig | NoTrackingConfig, write: Callable[[str, str]
         print(f"warning: not in MLflow ({tracking.uri}): {problem}", file=sys.stderr)
         print("the same command writes the run once MLflow answers", file=sys.stderr)
     else:
-        print(f"MLflow run {f'{run} ' if run else ''}in {tracking.uri}; shift3d ui shows it")
+        store = "" if tracking.uri == DEFAULT_STORE else f" --uri {shlex.quote(tracking.uri)}"
+        shown = "" if tracking.uri.startswith("http") else f"; shift3d ui{store} shows it"
+        print(f"MLflow run {f'{run} ' if run else ''}in {tracking.uri}{shown}")

@@ -7,13 +7,12 @@ import contextlib
 from pathlib import Path
 
 from shift3d.cli.command import Command
+from shift3d.cli.outcomes import DEFAULT_STORE
 from shift3d.errors import InputError
-
-_DEFAULT_URI = "sqlite:///mlflow.db"
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--uri", default=_DEFAULT_URI, help="MLflow store that sweeps write to (%(default)s)")
+    parser.add_argument("--uri", default=DEFAULT_STORE, help="MLflow store that sweeps write to (%(default)s)")
     parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (%(default)s); 0: any free port")
 
 
@@ -23,7 +22,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
     check_store(arguments.uri, "--uri")
     if arguments.uri.startswith("sqlite:///") and not Path(arguments.uri.removeprefix("sqlite:///")).exists():
-        raise InputError("there is no run yet", where=arguments.uri, remedy="Run a sweep first: shift3d sweep")
+        remedy = "Run a sweep first: shift3d sweep; or name the store of your sweeps: --uri URI"
+        raise InputError("there is no run yet", where=arguments.uri, remedy=remedy)
     with open_port(arguments.port) as listening:
         port = listening.getsockname()[1]
         print(f"MLflow on http://{HOST}:{port}, ready in a few seconds (Ctrl-C stops it)", flush=True)

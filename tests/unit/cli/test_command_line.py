@@ -20,9 +20,11 @@ from shift3d.cli.commands.detectors import train
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
 from shift3d.cli.mesh_arguments import FRAME_VALUES
+from shift3d.cli.outcomes import mirror
 from shift3d.cli.sweep_arguments import parse_name_and_overrides
 from shift3d.cli.version import _commit
 from shift3d.errors import InputError
+from shift3d.settings.schema.config import MlflowConfig
 from shift3d.store.resolve import as_location
 
 
@@ -272,3 +274,19 @@ def test_completion_offers_sweeps_groups_options_and_settings() -> None:
     assert "attack.placement.min_range_m=" in overrides("attack.pl")
     assert "scenes.count=" in overrides("scenes.") and overrides("out") == ["out="]
     assert overrides("../x=") == []
+
+
+@pytest.mark.parametrize(
+    ("uri", "ending"),
+    [
+        ("sqlite:///mlflow.db", "; shift3d ui shows it"),
+        ("sqlite:////team runs/a.db", "; shift3d ui --uri 'sqlite:////team runs/a.db' shows it"),
+        ("https://mlflow.example", " in https://mlflow.example"),
+    ],
+)
+def test_the_command_that_shows_a_run_names_its_store(
+    uri: str, ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tracking = MlflowConfig(kind="mlflow", uri=uri, experiment="shift3d")
+    mirror(tracking, lambda *_: None, "smoke-1")
+    assert capsys.readouterr().out.strip().endswith(ending)
