@@ -117,6 +117,15 @@ def test_differences_are_paired_by_task_and_tested_by_scene() -> None:
     assert f"{-0.5 * base.mean():+.3f}" in shown and "4.9e-04" in shown and "<td>0.001</td>" in shown
 
 
+def test_the_gain_over_random_draws_and_the_effect_of_an_edit_are_differences() -> None:
+    base, drawn = [0.9, 0.8, 0.7], [0.6, 0.5, 0.7]
+    scores = {("baseline", "suv"): base, ("random_budget", "suv"): drawn, ("edited", "suv"): [0.7, 0.6, 0.5]}
+    shown = blocks_html(differences([variant(scores | {("adversarial", "suv"): [0.3, 0.2, 0.1]})]))
+    for pair, expected in (("adversarial - best of random draws", -0.4), ("edited - baseline", -0.2)):
+        line = shown[shown.index(pair) :]
+        assert f"<td>{expected:+.3f}</td>" in line[: line.index("</tr>")]
+
+
 def test_curves_have_a_panel_a_vehicle_and_one_of_all_with_bands() -> None:
     shown = blocks_html(curves([two_vehicles()]))
     assert shown.count('class="plot"') == 3 and shown.count("tonexty") == 6

@@ -67,7 +67,9 @@ def auc_blocks(variant: Variant) -> list[Block]:
 _PAIRS = (
     ("adversarial", "baseline"),
     ("random", "baseline"),
+    ("edited", "baseline"),
     ("adversarial", "random"),
+    ("adversarial", "random_budget"),
     ("adversarial_noise", "adversarial"),
 )
 _HEADER = ["comparison", "vehicle", "difference", "95 % interval", "scenes", "tasks", "p", "p, Holm"]
