@@ -21,7 +21,7 @@ _LEAD = (
     "Score that the search sees at each step; step 0 is the unchanged vehicle. It is the score of the best box within "
     "5 m before non-maximum suppression, at the precision of the search, so it may differ a little from the scores in "
     "the tables. Mean over tasks; band: 95 %, pointwise, scenes resampled. Steps that break a constraint count too. "
-    "The solution is the best valid step, not the last step."
+    "The solution is the valid step with the lowest loss, not the last step; step 0 does not count."
 )
 
 
@@ -86,4 +86,4 @@ def case_path(key: str, rows: pd.DataFrame) -> Block:
 
 def _layout(last: int) -> dict[str, Any]:
     sides = {"xaxis": axis("step", range=[0, max(last, 1)]), "yaxis": axis("score", range=[0, 1.02])}
-    return {**sides, "legend": LEGEND_BELOW, "hovermode": "x unified"}
+    return {**sides, "legend": {**LEGEND_BELOW, "traceorder": "normal"}, "hovermode": "x unified"}
