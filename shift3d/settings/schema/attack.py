@@ -46,7 +46,7 @@ class AttackConfig(Record):
     random_replicates: NonNegativeInt
     noise_replicates: NonNegativeInt
     noise_sigma: NonNegativeFloat
-    noise_share: NonNegativeFloat = 0.0
+    noise_share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
     max_shift_m: NonNegativeFloat
     max_tilt_rad: NonNegativeFloat
     below_ground_m: NonNegativeFloat = 0.05
