@@ -249,7 +249,7 @@ def validate(values: Values, where: str, axes: Sequence[str] = ()) -> Config:
         remedy = "Begin its file with `defaults: [/config, _self_]`, or with a sweep that ships in the place of /config"
         raise InputError(f"it does not say {', '.join(lacking)}", where=where, remedy=remedy)
     if "frontier" in values:
-        remedy = "Run it with: make frontier, or shift3d frontier"
+        remedy = "Run it with: shift3d frontier"
         raise InputError("it measures what accuracy costs and has no tasks", where, remedy)
     if missing := next((path for path, value in leaves(values) if value == "???"), None):
         group = missing.split(".")[0]

@@ -74,7 +74,7 @@ def read_safetensors(
 
     source = Path(path) if path is not None else default
     if not source.is_file():
-        remedy = "Check the path" if path is not None else 'Train it: make train ARGS="model=sdf"'
+        remedy = "Check the path" if path is not None else "Train it: shift3d train model=sdf"
         raise InputError("no such file", where=str(source), remedy=remedy)
     try:
         with safe_open(str(source), framework=framework) as file:

@@ -16,7 +16,7 @@ from shift3d.store.tables import check_table, read_parquet, table_of
 FRONTIER_SCHEMA_VERSION = 2
 _LACKED_BY_1 = ("start", "grid", "gradient", "ratio_to_paper_chord", "attack_score")
 """Nullable columns that version 1 lacks."""
-_AGAIN = "Remove it and run make frontier again"
+_AGAIN = "Remove it and run shift3d frontier again"
 
 # `knob`: the parameter, named `knob_name`, in which rows of one method differ. start: cold or warm. grid: an SDF grid
 # of the shape is available. gradient: variable (no, shape, pose) whose gradient the timed rendering prepares. hits:
@@ -59,7 +59,7 @@ def read_frontier(path: Path) -> pa.Table:
     Raises: InputError: the file is missing, torn, of another schema or version, or lacks a column.
     """
     if not path.is_file():
-        raise InputError("no measured frontier", str(path), "Run make frontier first")
+        raise InputError("no measured frontier", str(path), "Run shift3d frontier first")
     table, schema, version = read_parquet(path, _AGAIN)
     if schema != "frontier" or version not in ("1", str(FRONTIER_SCHEMA_VERSION)):
         what = f"is not a frontier of schema version {FRONTIER_SCHEMA_VERSION} (found {schema}, version {version})"

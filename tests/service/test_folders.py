@@ -145,5 +145,5 @@ def test_a_trial_says_with_its_tables_that_they_mean_nothing(drivers: Drivers) -
     code, output, errors = drivers.run("out", "runner=local", "attack.steps=5")
     assert code == 0, errors
     message, table = output.index("these AUCs mean nothing"), output.index("AUC, adversarial")
-    assert message < table and "For meaningful AUCs: make sweep" in output
+    assert message < table and "For meaningful AUCs: shift3d sweep" in output
     assert "mean nothing" not in drivers.run("whole", "runner=local")[1]

@@ -55,7 +55,7 @@ def write_frontier_report(folder: Path) -> str:
     """
     table = read_frontier(folder / "frontier.parquet")
     if not table.num_rows:
-        raise InputError("contains no setting", str(folder / "frontier.parquet"), "Run make frontier again")
+        raise InputError("contains no setting", str(folder / "frontier.parquet"), "Run shift3d frontier again")
     frame = table.to_pandas()
     text = advice(frame)
     write_atomic(folder / "advice.txt", f"{text}\n".encode())

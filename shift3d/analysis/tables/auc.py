@@ -61,12 +61,12 @@ def natural_search(scores: pd.DataFrame) -> str | None:
     rows = scores[scores["task_id"].isin(left) & ~scores["search"].str.contains("_within")]
     if rows.empty:
         return None
-    inputs = inputs_argument(set(rows["dataset"]), set(rows["detector"]), search="random")
-    return f"Hard shapes that stay vehicles: make sweep SWEEP=natural{inputs}"
+    inputs = input_words(set(rows["dataset"]), set(rows["detector"]), search="random")
+    return f"Hard shapes that stay vehicles: shift3d sweep natural{inputs}"
 
 
-def inputs_argument(datasets: set[str], detectors: set[str], search: str = "evolution") -> str:
-    """Return the argument of ``make sweep`` that selects the only recorded data set and the only attacked detector.
+def input_words(datasets: set[str], detectors: set[str], search: str = "evolution") -> str:
+    """Return the words after a sweep's name that select the only recorded data set and the only attacked detector.
 
     Streets and the default detector need no word. Several data sets or detectors get none. search: of an ONNX file.
     """
@@ -75,7 +75,7 @@ def inputs_argument(datasets: set[str], detectors: set[str], search: str = "evol
         words.append(f"scenes={dataset} scenes.root=PATH")
     if len(detectors) == 1 and (detector := next(iter(detectors))) != _DEFAULT_DETECTOR:
         words.append(f"detector={detector}{_FILES_OF.get(detector, '').format(search=search)}")
-    return f' ARGS="{" ".join(words)}"' if words else ""
+    return "".join(f" {word}" for word in words)
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:

@@ -10,7 +10,7 @@ import pandas as pd
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_meanings, preset_table
 from shift3d.analysis.tables.accuracy.frontier import legend
-from shift3d.analysis.tables.auc import auc_table, inputs_argument, natural_search, natural_table
+from shift3d.analysis.tables.auc import auc_table, input_words, natural_search, natural_table
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.sensors import sensor_table, transfer_table
@@ -63,8 +63,8 @@ def small_sweep_warning(tasks: Tasks) -> str | None:
         reasons.append(f"{counted(len(scenes), 'scene')} (at least {_LEAST_SCENES})")
     if not reasons:
         return None
-    chosen = inputs_argument({dataset for dataset, _ in scenes}, {group.template.detector for group in tasks.groups()})
-    return f"A trial: these AUCs mean nothing, with {' and '.join(reasons)}. For meaningful AUCs: make sweep{chosen}"
+    chosen = input_words({dataset for dataset, _ in scenes}, {group.template.detector for group in tasks.groups()})
+    return f"A trial: these AUCs mean nothing, with {' and '.join(reasons)}. For meaningful AUCs: shift3d sweep{chosen}"
 
 
 def no_placement_message(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | None:

@@ -68,7 +68,7 @@ def effect_impacts(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> l
     plain = scored[scored["effect"] == ""]
     found = [name for name in NEEDS if (scored["effect"] == name).any()]
     if plain.empty or not found:
-        remedy = "Run sweeps/effects.yaml: make sweep SWEEP=effects"
+        remedy = "Run sweeps/effects.yaml: shift3d sweep effects"
         raise InputError("no tasks without effects beside tasks with exactly one effect", "the sweep", remedy)
     return [_impact(name, scored[scored["effect"] == name], plain, milliseconds.get(name, nan)) for name in found]
 

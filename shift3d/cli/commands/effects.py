@@ -12,13 +12,13 @@ from shift3d.wording import counted
 
 _DESCRIPTION = """\
 Measures how far each effect moves scores and how long it takes, from the tables of a sweep that ran the same tasks
-without effects and with one effect at a time (make sweep SWEEP=effects). Prints the table and writes
+without effects and with one effect at a time (shift3d sweep effects). Prints the table and writes
 OUT/final/effects.html. --adopt also writes the numbers that effects=auto uses: effects=auto then leaves out an effect
 whose change of the score is below the bound with 95 % confidence, and the plan says so."""
 
 _EPILOG = """\
 examples:
-  make sweep SWEEP=effects
+  shift3d sweep effects
   shift3d effects outputs/effects-1a2b3c4d5e6f7a8b
   shift3d effects outputs/effects-1a2b3c4d5e6f7a8b --times outputs/bench.json --adopt"""
 

@@ -35,7 +35,7 @@ def load_network(path: Path, name: str = "pointpillars") -> DetectorNet:
     Raises: InputError if the file is missing, or as `load_weights` does.
     """
     if not path.is_file():
-        raise InputError("the weight file does not exist", str(path), f'Train it: make train ARGS="model={name}"')
+        raise InputError("the weight file does not exist", str(path), f"Train it: shift3d train model={name}")
     return load_weights(NETWORKS[name](), path)
 
 

@@ -19,7 +19,7 @@ def weights_file(name: str, override: str | None) -> Path:
     """Return a detector's file of weights: `override` or the shipped file. Raises: InputError: the file is missing."""
     path = _weights_path(name, override)
     if not path.is_file():
-        remedy = "Check the path" if override else f'Give a file of them, or: make train ARGS="model={name}"'
+        remedy = "Check the path" if override else f"Give a file of them, or: shift3d train model={name}"
         raise InputError(f"no weights of {name}", where=str(path), remedy=remedy)
     return path
 

@@ -32,7 +32,7 @@ def caveat(name: str, *overrides: str) -> str | None:
 def test_a_search_that_is_cut_short_is_said(words: list[str]) -> None:
     message = caveat(*words)
     assert message and "mean nothing, with a search of 5 steps (the paper's: 40)" in message
-    assert message.endswith("For meaningful AUCs: make sweep")
+    assert message.endswith("For meaningful AUCs: shift3d sweep")
 
 
 def test_too_few_scenes_are_said_whatever_the_search() -> None:
@@ -138,5 +138,5 @@ def test_the_report_begins_with_it(finished: Path) -> None:
 def test_the_report_says_at_its_beginning_how_to_find_shapes_that_stay_vehicles(finished: Path) -> None:
     sweep = read_sweep(finished)
     page = report_page(dataclasses.replace(sweep, scores=sweep.scores.assign(natural=False)), cases=0)
-    assert page.index("make sweep SWEEP=natural.") < page.index("The hard cases</h2>")
+    assert page.index("shift3d sweep natural.") < page.index("The hard cases</h2>")
     assert "SWEEP=natural" not in report_page(sweep, cases=0)

@@ -17,7 +17,7 @@ from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import transfer_grid
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import ratio_interval
-from shift3d.analysis.tables.auc import auc_table, inputs_argument, natural_search, natural_table
+from shift3d.analysis.tables.auc import auc_table, input_words, natural_search, natural_table
 from shift3d.analysis.tables.paper import paper_table, paper_table_of
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import interval_text
@@ -108,13 +108,13 @@ def test_natural_shapes_by_lambda() -> None:
 
 def test_a_sweep_of_unnatural_shapes_names_the_one_that_finds_natural_ones() -> None:
     scores = judged_scores([True, True, False, False]).assign(dataset="street", detector="pointpillars")
-    assert natural_search(scores) == "Hard shapes that stay vehicles: make sweep SWEEP=natural"
+    assert natural_search(scores) == "Hard shapes that stay vehicles: shift3d sweep natural"
     frames = natural_search(scores.assign(dataset="kitti"))
-    assert frames is not None and frames.endswith('SWEEP=natural ARGS="scenes=kitti scenes.root=PATH"')
+    assert frames is not None and frames.endswith("sweep natural scenes=kitti scenes.root=PATH")
     logs = natural_search(scores.assign(dataset="argoverse2"))
-    assert logs is not None and logs.endswith('SWEEP=natural ARGS="scenes=argoverse2 scenes.root=PATH"')
+    assert logs is not None and logs.endswith("sweep natural scenes=argoverse2 scenes.root=PATH")
     own = natural_search(scores.assign(detector="own"))
-    assert own is not None and own.endswith('SWEEP=natural ARGS="detector=own detector.module=FILE.py"')
+    assert own is not None and own.endswith("sweep natural detector=own detector.module=FILE.py")
     assert natural_search(scores.assign(natural=True)) is None
     assert natural_search(scores.assign(natural=None)) is None, "not measured"
     assert natural_search(scores.assign(search="expectation_family_within95")) is None, "no command does better"
@@ -241,13 +241,13 @@ def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -
 
 def test_the_suggested_sweep_has_the_recorded_data_set_and_the_detector_of_this_one() -> None:
     default = {"pointpillars"}
-    assert inputs_argument({"waymo"}, default) == ' ARGS="scenes=waymo scenes.root=PATH"'
+    assert input_words({"waymo"}, default) == " scenes=waymo scenes.root=PATH"
     for several in ({"waymo", "kitti"}, {"street-hdl64"}, {"street-hdl64", "kitti"}, set()):
-        assert inputs_argument(several, default) == ""
-    own = ' ARGS="scenes=openpcdet scenes.root=PATH detector=own detector.module=FILE.py"'
-    assert inputs_argument({"openpcdet"}, {"own"}) == own
-    assert inputs_argument({"street-hdl64"}, {"sst"}) == ' ARGS="detector=sst"'
-    assert inputs_argument({"street-hdl64"}, {"pointpillars", "sst"}) == ""
+        assert input_words(several, default) == ""
+    own = " scenes=openpcdet scenes.root=PATH detector=own detector.module=FILE.py"
+    assert input_words({"openpcdet"}, {"own"}) == own
+    assert input_words({"street-hdl64"}, {"sst"}) == " detector=sst"
+    assert input_words({"street-hdl64"}, {"pointpillars", "sst"}) == ""
     for name in get_args(DetectorName):
         needs = {"own": "module", "onnx": "file", "openpcdet": "config", "mmdet3d": "config"}.get(name, "")
-        assert f"detector.{needs}" in inputs_argument({"street-hdl64"}, {name}) or not needs
+        assert f"detector.{needs}" in input_words({"street-hdl64"}, {name}) or not needs

@@ -74,6 +74,6 @@ def test_every_name_has_a_network_a_setting_and_a_recipe() -> None:
 
 
 def test_a_detector_without_weights_says_in_one_line_how_to_train_it(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match='make train ARGS="model=centerpoint"') as error:
+    with pytest.raises(InputError, match="shift3d train model=centerpoint") as error:
         load_detector("centerpoint", tmp_path / "centerpoint.safetensors")
     assert "\n" not in str(error.value)

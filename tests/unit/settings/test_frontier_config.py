@@ -199,7 +199,7 @@ def test_what_cannot_be_measured_is_said_in_one_line(changes: dict[str, Any], me
     ("arguments", "message"),
     [
         (["sweep", "accuracy_time"], "shift3d frontier"),
-        (["plan", "accuracy_time"], "make frontier"),
+        (["plan", "accuracy_time"], "shift3d frontier"),
         (["frontier", "--only", "("], "no regular expression"),
         (["frontier", "vehicle=coupe,suv"], "vehicle has several values"),
         (["frontier", "frontier.repeats=0"], "frontier.repeats is 0"),

@@ -96,7 +96,7 @@ def test_the_same_setting_on_other_scenes_is_another_row_and_false_hits_have_no_
 
 def test_what_is_no_frontier_is_named(tmp_path: Path) -> None:
     path = tmp_path / "frontier.parquet"
-    with pytest.raises(InputError, match=r"no measured frontier.*make frontier"):
+    with pytest.raises(InputError, match=r"no measured frontier.*shift3d frontier"):
         read_frontier(path)
     table = frontier_table([frontier_row("standard", 1.0)])
     write_table(path, table)
@@ -111,7 +111,7 @@ def test_what_is_no_frontier_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="version 3"):
         read_frontier(path)
     pq.write_table(table.drop_columns(["depth_p99_m"]), path)
-    with pytest.raises(InputError, match=r"no column depth_p99_m.*run make frontier again"):
+    with pytest.raises(InputError, match=r"no column depth_p99_m.*run shift3d frontier again"):
         read_frontier(path)
 
 

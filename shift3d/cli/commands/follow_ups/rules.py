@@ -16,7 +16,7 @@ all of these, with 95 % confidence."""
 _EPILOG = """\
 examples:
   shift3d rules outputs/default-1a2b3c4d5e6f7a8b
-  make sweep SWEEP=failure_rules               every kind of vehicle, no search, two detectors; size=small is shorter
+  shift3d sweep failure_rules                  every kind of vehicle, no search, two detectors; size=small is shorter
 
 Rules need at least 8 scenes, and 20 or more to hold. Rules on sizes need naturalness (naturalness=wide, the default).
 Rules over two detectors need detector.scored_by=null."""
