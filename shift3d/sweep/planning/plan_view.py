@@ -11,6 +11,15 @@ from shift3d.sweep.planning.tasks import Tasks, merged_settings, setting_values
 from shift3d.wording import counted
 
 _SHOWN = 20
+_USERS = {
+    "alpha": ("search", ("descent",)),
+    "selection_window": ("search", ("descent",)),
+    "rate": ("search", ("expectation",)),
+    "placements": ("search", ("expectation",)),
+    "starts": ("search", ("expectation",)),
+    "components": ("space", ("pca", "family")),
+}
+"""Setting of an attack to the setting that decides whether a task uses it, and the values that do."""
 _READABLE = ("attack.", "accuracy.", "effects.", "scenes.")
 
 
@@ -26,8 +35,8 @@ def plan_summary(plan: Plan) -> str:
     size = ", its small size" if plan.settings.get("size") == "small" else ""
     counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
     counts += f"{counted(vehicles, 'vehicle')} in {counted(scenes, 'scene')}"
-    merged = merged_lines(plan.tasks)
-    return "\n".join([counts, effect_table(plan.effects, looked_at), *plan.notes, *merged, *skipped_lines(plan)])
+    lines = [*plan.notes, *merged_lines(plan.tasks), *idle_lines(plan.tasks), *skipped_lines(plan)]
+    return "\n".join([counts, effect_table(plan.effects, looked_at), *lines])
 
 
 def merged_lines(tasks: Tasks) -> list[str]:
@@ -44,6 +53,22 @@ def merged_lines(tasks: Tasks) -> list[str]:
             "frames: tables, intervals and scene counts treat these frames as one scene. Give each frame its own name"
         )
     return found
+
+
+def idle_lines(tasks: Tasks) -> list[str]:
+    """Return lines on the axes that searches do not use, whose tasks repeat each other with other random numbers."""
+    found: dict[tuple[str, str], set[float]] = {}
+    for group in tasks.groups():
+        attack = vars(group.template.attack) | {"alpha": group.template.alpha}
+        for name, (owner, users) in _USERS.items():
+            if attack[owner] not in users:
+                found.setdefault((name, f"attack.{owner}={attack[owner]}"), set()).add(attack[name])
+    return [
+        f"{counted(len(values), 'value')} of attack.{name} make equal tasks under {owner}, which does not use it: "
+        "results differ by random numbers alone"
+        for (name, owner), values in found.items()
+        if len(values) > 1
+    ]
 
 
 def skipped_lines(plan: Plan) -> list[str]:

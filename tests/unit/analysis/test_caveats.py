@@ -69,6 +69,17 @@ def test_settings_that_no_column_tells_apart_are_named() -> None:
     assert merged_settings(make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0].tasks) == []
 
 
+def test_an_axis_that_a_search_does_not_use_is_named() -> None:
+    words = ["vehicle=suv", "mode=shape", "attack.search=descent,evolution", "attack.alpha=0.01,0.1"]
+    shown = plan_summary(make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0])
+    assert "2 values of attack.alpha make equal tasks under attack.search=evolution, which does not use it" in shown
+    assert "attack.search=descent" not in shown
+    starts = ["vehicle=suv", "mode=shape", "attack.starts=1,5", "attack.components=3,4"]
+    shown = plan_summary(make_plan(compose_sweep("default", starts), valid_sweeps.catalogue)[0])
+    assert "attack.starts make equal tasks under attack.search=descent" in shown
+    assert "attack.components make equal tasks under attack.space=free" in shown
+
+
 def two_folders(config: Config) -> Catalogue:
     """Return frames of the same names with other contents under another seed, like two folders of frames."""
     found = valid_sweeps.catalogue(config)
