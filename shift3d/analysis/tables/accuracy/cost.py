@@ -62,10 +62,8 @@ def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
             own = _of_presets(read_frontier(file).to_pandas())
             if set(shipped.index) <= set(own.index):
                 return own, "this machine's frontier"
-        return (
-            shipped,
-            f"the shipped frontier ({file} is damaged or lacks a preset on streets: run shift3d frontier)",
-        )
+        why = f"{file} cannot be read or lacks a preset on streets: run shift3d frontier"
+        return shipped, f"the shipped frontier ({why})"
     return shipped, "the shipped frontier (of another machine; shift3d frontier measures this one)"
 
 
