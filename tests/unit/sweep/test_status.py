@@ -174,7 +174,9 @@ def test_a_driver_elsewhere_whose_clock_is_an_hour_off_is_known_by_its_next_word
 
     def write() -> None:
         now = time.time() + ahead_s
-        status.write_text(json.dumps({**values, "written_unix_s": now, "committed_unix_s": now - 7.0}))
+        new = tmp_path / "status.new"
+        new.write_text(json.dumps({**values, "written_unix_s": now, "committed_unix_s": now - 7.0}))
+        new.replace(status)  # as drivers do: a reader never meets half a file
 
     write()
     later = threading.Timer(0.2, write)
