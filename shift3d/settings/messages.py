@@ -90,6 +90,11 @@ def from_hydra(
         group, _, name = match.group(1).rpartition("/")
         if (renamed := renamed_error(group, name)) is not None:
             return renamed
+        if not options(group):
+            remedy = (
+                "Name a sweep alone, as in `- default`, an option with its group, as in `- override /attack: short`"
+            )
+            return InputError(f"there is no group {group!r} with {name!r}", where, remedy)
         return choice_error(group or "sweep", name, options(group), where, searched_folders_text(f"conf/{group}"))
     if match := re.search(r"Could not override '([^']+)'", text):
         key, beside = match.group(1), _siblings(match.group(1), config or {})

@@ -88,6 +88,10 @@ def test_a_sweep_may_be_made_of_one_that_ships(team: Path) -> None:
             "defaults: [smoke, _self_]\nscenes: {cuont: 3}\n",
             r"no setting scenes\.cuont\. Did you mean 'scenes\.count'\? One of: scenes\.beams, ",
         ),
+        (
+            "defaults: [/sweeps/smoke, _self_]\n",
+            r"no group 'sweeps' with 'smoke'. Name a sweep alone, as in `- default`",
+        ),
     ],
 )
 def test_a_sweeps_file_with_a_mistake_is_refused_with_what_it_needs(team: Path, text: str, message: str) -> None:
