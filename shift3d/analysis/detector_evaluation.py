@@ -87,7 +87,8 @@ def dataset_of(scenes: EvaluatedScenes) -> str:
 def _identity(scenes: EvaluatedScenes) -> dict[str, object]:
     """Return the settings that decide which scene a scene name refers to."""
     if isinstance(scenes, FramesConfig):
-        settings = scenes.model_dump(mode="json", include={"split", "sensor_m", "ground_z_m"})
+        deciding = {"split", "sensor_m", "ground_z_m", "reflectance_max"}
+        settings = scenes.model_dump(mode="json", include=deciding, exclude_none=True)
         return {"root": str(Path(scenes.root).expanduser().resolve()), **settings}
     traffic = {"traffic": scenes.traffic} if scenes.traffic != "family" else {}
     return {"sensor": scenes.sensor, "split": scenes.split, "seed": scenes.seed, **traffic}

@@ -103,6 +103,9 @@ def test_ones_own_frames_have_their_own_mounting_height(tmp_path: Path, capsys: 
         rows = metrics[(metrics["view"] == "3D") & (metrics["num_truth"] == 2)]
         np.testing.assert_allclose(rows.loc[rows["metric"] == "AP", "value"], expected, atol=1e-9)
         assert len(rows)
+    for other in ("ground_z_m=-3", "sensor_m=[0,0,1]", "reflectance_max=255"):
+        assert main([*words, f"root={tmp_path / 'frames'}", f"out={tmp_path / 'own'}", other]) == 2
+        assert "another evaluation" in capsys.readouterr().err, other
     (tmp_path / "frames" / "labels" / "a.txt").write_text("")
     assert main([*words, f"root={tmp_path / 'frames'}", f"out={tmp_path / 'empty'}"]) == 0
     assert "No scene has a labelled vehicle" in capsys.readouterr().out
