@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from shift3d.attack.problem import AttackProblem
-from shift3d.detectors.nms import ScoresOnlyDetector
+from shift3d.detectors.scores_only import ScoresOnlyDetector
 from shift3d.errors import InputError
 from shift3d.placement.sampling import Placement
 from shift3d.render.field.sdf_grid import SdfGrid

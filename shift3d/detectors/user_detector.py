@@ -26,7 +26,8 @@ from torch import Tensor, nn
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.names import OWN
-from shift3d.detectors.nms import NmsDetector, ScoresOnlyDetector, probe_points
+from shift3d.detectors.nms import NmsDetector
+from shift3d.detectors.scores_only import ScoresOnlyDetector, probe_points
 from shift3d.errors import InputError
 
 Model = Callable[[Tensor], Any]

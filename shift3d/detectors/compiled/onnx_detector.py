@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.detectors.names import ONNX
-from shift3d.detectors.nms import ScoresOnlyDetector
+from shift3d.detectors.scores_only import ScoresOnlyDetector
 from shift3d.errors import InputError
 from shift3d.store.user_cache import cache_file, cache_result, read_cached, source_digest
 
@@ -81,10 +81,8 @@ def onnx_detector(content: bytes, where: str) -> OnnxDetector:
     except Exception as error:  # errors of ONNX Runtime have no narrower base class
         raise InputError(f"ONNX Runtime does not take it: {_line(error)}", where, _GUIDE) from error
     _check_interface(session, where)
-    detector, by = (
-        OnnxDetector(session, where),
-        (onnxruntime.__version__, source_digest("detectors/compiled", "detectors/nms.py")),
-    )
+    detector = OnnxDetector(session, where)
+    by = onnxruntime.__version__, source_digest("detectors/compiled", "detectors/scores_only.py")
     tried = cache_file("tried_onnx", hashlib.blake2b(content).digest(), *by)
     if read_cached(tried) is None:  # the test makes three full forward passes: 11 s for PointPillars
         detector.try_on_random_points()

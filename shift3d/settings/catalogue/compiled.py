@@ -36,7 +36,7 @@ def refuse_gradient_search(config: Config) -> None:
 
 def _returns_scores_only(config: DetectorConfig) -> bool:
     from shift3d.detectors.loading import detector_of
-    from shift3d.detectors.nms import ScoresOnlyDetector
+    from shift3d.detectors.scores_only import ScoresOnlyDetector
 
     return isinstance(detector_of(OWN, config.own_weights, config.module, "float32"), ScoresOnlyDetector)
 
