@@ -1,9 +1,9 @@
 """Commit log: numbered JSON files, the only record of the finished tasks.
 
 One driver appends entries. Entry n is created only if absent, so of two drivers one is stopped at its next commit. Each
-driver begins with a session entry, which stops every earlier driver that still runs: that driver looks for it between
-commits, so that long tasks do not delay its end. A compaction writes one entry that
-replaces all entries before it; older session entries stay, since they stop a driver that slept meanwhile.
+driver begins with a session entry, which stops every earlier driver that still runs: the earlier driver looks for new
+entries between commits, so that long tasks do not delay its end. A compaction writes one entry that replaces all
+entries before it; older session entries stay, since they stop a driver that slept meanwhile.
 
 Source: our choice (design section 9).
 """
