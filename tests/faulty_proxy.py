@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 class FaultyProxy(ThreadingHTTPServer):
     """Proxy that forwards requests.
 
-    lost: number of next PUTs that reach the server and get no answer. refusal: (status, code) that answers every
-    request. unconditional: drops If-None-Match. requests: methods seen.
+    lost: number of next PUTs that reach the server and get no answer. refusal: (status, code) that answers the refused
+    methods, all if none is named. unconditional: drops If-None-Match. requests: methods seen.
     """
 
     daemon_threads = True
@@ -24,6 +24,7 @@ class FaultyProxy(ThreadingHTTPServer):
         self.behind = urlsplit(server)
         self.lost = 0
         self.refusal: tuple[int, str] | None = None
+        self.refused: tuple[str, ...] = ()
         self.unconditional = False
         self.requests: list[str] = []
         self.lock = threading.Lock()
@@ -55,7 +56,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _pass_on(self) -> None:
         body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
         lost = self.server.loses(self.command)
-        if self.server.refusal:
+        if self.server.refusal and self.command in (self.server.refused or (self.command,)):
             status, code = self.server.refusal
             self._answer(status, [], f"<Error><Code>{code}</Code></Error>".encode())
             return

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from shift3d.errors import InputError
+from shift3d.store.buckets.object_errors import CHECK
 from shift3d.store.location import LocalLocation, Location
 
 LocationLike = Location | Path | str
@@ -17,8 +18,8 @@ LocationLike = Location | Path | str
 def as_location(place: LocationLike) -> Location:
     """Return the location of a path, ``s3://bucket/prefix`` or ``gs://bucket/prefix``. In text, ~ is the home folder.
 
-    Raises: InputError: the text is empty, its ~user is unknown, the URL has no bucket or another scheme, or settings in
-    the environment are unusable.
+    Raises: InputError: the text is empty, its ~user is unknown, the URL lacks its slashes or has no bucket or another
+    scheme, or settings in the environment are unusable.
     """
     if isinstance(place, Location):
         return place
@@ -28,6 +29,10 @@ def as_location(place: LocationLike) -> Location:
         from shift3d.store.buckets.object_store import object_location  # late: folders need no obstore
 
         return object_location(place)
+    scheme, colon, _ = str(place).partition(":")
+    if isinstance(place, str) and colon and scheme in CHECK:
+        remedy = f"Give {scheme}://BUCKET/PREFIX; a folder: ./{place}"
+        raise InputError("is neither a URL nor a folder", place, remedy)
     try:
         return LocalLocation(Path(place).expanduser() if isinstance(place, str) else place)
     except RuntimeError:

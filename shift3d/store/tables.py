@@ -114,7 +114,9 @@ def read_parquet(
     try:
         source: Any = pa.BufferReader(content) if content is not None else None
         if source is None:
-            source = location.path if isinstance(location, LocalLocation) else pa.BufferReader(location.read_bytes())
+            # Absolute: pyarrow takes a relative path with a colon, such as run:1/a.parquet, for a URI.
+            there = location.path.absolute() if isinstance(location, LocalLocation) else None
+            source = there or pa.BufferReader(location.read_bytes())
         table = read(source)
         table = table.select(table.column_names)  # raises if a damaged column name is no text
     except FileNotFoundError as error:

@@ -206,7 +206,7 @@ def _run(
         if stop.second.is_set() and failure is None:
             progress.say("dropping the tasks in flight")
         try:
-            committer.flush()
+            committer.flush(stop.second.is_set)
         except TakenOverError:
             raise
         except InputError:

@@ -7,6 +7,7 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,11 +15,14 @@ from pathlib import Path
 import pytest
 from bucket_server import ENVIRONMENT, bucket_server, new_bucket
 from drivers import DETERMINISTIC, DRIVER, QUICK, Drivers
+from faulty_proxy import faulty_proxy
 
+from shift3d.store.buckets import object_store
 from shift3d.store.location import Location
 from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
+from shift3d.sweep.results import commit
 
 TASKS = 60
 
@@ -98,6 +102,33 @@ def test_a_second_driver_stops_the_first_in_the_bucket(
     assert first.returncode == 4 and "another driver took this sweep over" in errors
     assert len(committed(out)) == len(set(committed(out))) == TASKS
     assert final(out) == undisturbed
+
+
+def test_a_bucket_that_is_silent_for_a_while_ends_no_sweep(
+    drivers: Drivers, undisturbed: dict[str, bytes], server: str, out: Location, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Longer than one request is tried, and while tasks end."""
+    monkeypatch.setitem(object_store._RETRY, "max_retries", 1)
+    monkeypatch.setattr(commit, "_RETRY_S", 0.5)
+    with faulty_proxy(server) as proxy:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.address)
+
+        def refuse() -> None:
+            while len(proxy.requests) < 60:
+                time.sleep(0.05)
+            proxy.refusal = (503, "SlowDown")
+            time.sleep(3.0)
+            proxy.refusal = None
+
+        refusing = threading.Thread(target=refuse)
+        refusing.start()
+        words = ["sweep", "default", *QUICK, "runner=local", "runner.commit_seconds=0", f"out={out}"]
+        code, _, errors = drivers.run_here(words, SHIFT3D_TEST_SECONDS="0.1")
+        refusing.join()
+        assert code == 0, errors
+        assert "the store does not answer" in errors and "answers again" in errors
+        assert len(committed(out)) == len(set(committed(out))) == TASKS
+        assert final(out) == undisturbed
 
 
 def test_the_commands_read_the_bucket(

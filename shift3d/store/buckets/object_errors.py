@@ -6,6 +6,16 @@ import re
 
 from shift3d.errors import InputError
 
+
+class SilentStoreError(InputError):
+    """Error for a store that does not answer, or cannot be reached: a later try may succeed."""
+
+
+def is_silence(error: InputError) -> bool:
+    """True if a silent store caused the error, directly or as the cause of an `UncertainError`."""
+    return isinstance(error, SilentStoreError) or isinstance(error.__cause__, SilentStoreError)
+
+
 CREDENTIALS = {
     "s3": "Set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or give the machine a role",
     "gs": "Set GOOGLE_SERVICE_ACCOUNT to a key file, or give the machine a service account",
@@ -58,7 +68,8 @@ def store_error(error: Exception, url: str) -> InputError:
             # A network error also names the host and the number of tries.
             request = f" ({_request(text)})" if remedy == "{check}" else ""
             remedy = remedy.format(credentials=CREDENTIALS[scheme], check=CHECK[scheme])
-            return InputError(what + request, url, remedy)
+            kind = SilentStoreError if request else InputError
+            return kind(what + request, url, remedy)
     first = " ".join(str(error).split("Debug source")[0].split())[:300]
     return InputError(f"the store refuses ({first})", url, CHECK[scheme])
 

@@ -210,18 +210,19 @@ class ObjectLocation(Location):
                 obstore.put(self._client, self.key, content, mode="create", use_multipart=False)
         except AlreadyExistsError:
             # A retried request whose first answer got lost finds the object that it wrote itself.
-            return self.read_bytes() == content
+            return self._was_created(content)
         except InputError as error:
             return self._was_created(content, error)
         return True
 
-    def _was_created(self, content: bytes, error: InputError) -> bool:
-        """True if the object has this content although the store reported an error."""
+    def _was_created(self, content: bytes, failure: InputError | None = None) -> bool:
+        """True if the object has this content. failure: what the store answered to the request that creates it."""
         try:
             return self.read_bytes() == content
-        except (FileNotFoundError, InputError):
+        except (FileNotFoundError, InputError) as error:
             # The object is absent or the store is silent: the request may still arrive.
-            raise UncertainError(error.what, error.where, error.remedy) from error
+            reason = failure or (error if isinstance(error, InputError) else InputError("is gone again", str(self)))
+            raise UncertainError(reason.what, reason.where, reason.remedy) from reason
 
     def delete(self) -> None:
         with _clear_errors(str(self)), contextlib.suppress(FileNotFoundError):

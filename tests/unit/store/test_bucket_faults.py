@@ -161,19 +161,26 @@ def test_a_commit_whose_answer_is_lost_is_known_as_ones_own(proxy: FaultyProxy, 
         log.commit(("c",), (), {})
 
 
-def test_segments_of_an_entry_that_may_be_there_are_kept(proxy: FaultyProxy, bucket: Location) -> None:
+@pytest.mark.parametrize("arrives", [False, True], ids=["refused", "answer lost, then unreadable"])
+def test_segments_of_an_entry_that_may_be_there_are_kept(proxy: FaultyProxy, bucket: Location, arrives: bool) -> None:
     log = CommitLog(bucket / "sweep", "spec")
     tables = {"timings": table_from_rows("timings", [TIMING])}
     whole = log._append
 
     def while_the_store_is_away(*arguments: object) -> object:
-        proxy.refusal = (503, "SlowDown")
+        proxy.refusal, proxy.refused, proxy.lost = (503, "SlowDown"), ("GET",) if arrives else (), int(arrives)
         return whole(*arguments)  # type: ignore[arg-type]
 
     log._append = while_the_store_is_away  # type: ignore[method-assign,assignment]
     with pytest.raises(UncertainError):
         log.commit(("a",), (), tables)
     proxy.refusal = None
+    assert len((bucket / "sweep" / "data").names()) == 1
+    assert [entry.done for entry in read_log(bucket / "sweep")[1:]] == [("a",)] * arrives
+    log._append = whole  # type: ignore[method-assign]
+    log.check_own()
+    log.commit(("a",), (), tables)
+    assert [entry.done for entry in read_log(bucket / "sweep")] == [(), ("a",)], "the same commit counts once"
     assert len((bucket / "sweep" / "data").names()) == 1
 
 

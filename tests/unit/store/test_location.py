@@ -31,6 +31,13 @@ def test_names_join_and_compare(place: Location) -> None:
     assert as_location(place) is place
 
 
+@pytest.mark.parametrize("url", ["s3:/bucket/runs", "s3:bucket", "gs:/bucket/runs", "s3:"])
+def test_a_url_without_its_slashes_is_no_folder(url: str) -> None:
+    with pytest.raises(InputError, match=f"{url}: is neither a URL nor a folder.* {url[:3]}//BUCKET/PREFIX"):
+        as_location(url)
+    assert as_location(f"./{url}") == LocalLocation(Path(url)), "a folder of that name has a path"
+
+
 def test_what_is_written_is_read(place: Location) -> None:
     file = place / "data" / "file"
     assert not file.is_file() and place.names() == [] and (place / "data").names() == []

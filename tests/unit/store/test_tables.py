@@ -33,6 +33,14 @@ def score_row(**changes: Any) -> dict[str, Any]:
     return {**row, "alpha": 0.01, "replicate": 0, "effects": ["rain"], **changes}
 
 
+@pytest.mark.parametrize("folder", ["run:1", "s3:", "file:", "2026-01-01T10:00"])
+def test_a_folder_may_have_a_colon_in_its_name(folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    table = table_from_rows("scores", [score_row()])
+    write_table(Path(folder) / "scores.parquet", table)
+    assert read_table(Path(folder) / "scores.parquet", "scores").equals(table)
+
+
 def test_scores_begin_with_the_columns_of_the_contract_in_its_order() -> None:
     assert SCHEMAS["scores"].names[: len(CONTRACT)] == CONTRACT, "the project's own columns follow at the end"
     assert SCHEMAS["timings"].names == ["task_id", "method", "stage", "milliseconds", "calls"]
