@@ -204,7 +204,7 @@ def _reason(case: Case, row: int) -> str:
 
 
 def summary(outcomes: list[Outcome]) -> dict[str, Any]:
-    """Return totals over cases, and all data of cases that are not sound."""
+    """Return totals over cases, the numbers of cases that passed a surface, and all data of unsound ones."""
     ordered = sorted(outcomes, key=lambda outcome: outcome.number)
     seconds = np.array([outcome.seconds for outcome in ordered])
 
@@ -228,6 +228,7 @@ def summary(outcomes: list[Outcome]) -> dict[str, Any]:
         },
         "beams_looked_along": total("looked_along"),
         "beams_that_passed_a_surface": total("passed"),
+        "cases_that_passed_a_surface": [outcome.number for outcome in ordered if outcome.passed],
         "seconds_a_case": {"median": float(np.median(seconds)), "max": float(seconds.max())},
         "not_sound": [asdict(outcome) for outcome in ordered if not outcome.sound],
     }

@@ -13,6 +13,7 @@ from analytic_fields import sector_scan
 from safetensors.torch import save_file
 from scripts import comparator
 
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 from shift3d.render import Beams, preset, render
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles
@@ -72,3 +73,14 @@ def test_a_commit_with_another_decoder_is_refused(tmp_path: Path, monkeypatch: p
     weights.write_bytes(b"other")
     with pytest.raises(SystemExit, match=r"sdf\.safetensors, is not this version's"):
         comparator.earlier_tree("HEAD", tmp_path / "before")
+
+
+def test_both_versions_run_tasks_with_the_earlier_detector(tmp_path: Path) -> None:
+    file = tmp_path / "shift3d/weights/pointpillars.safetensors"
+    file.parent.mkdir(parents=True)
+    shipped = load_network(WEIGHTS_FOLDER / file.name).state_dict()
+    earlier = {name: value + 1 for name, value in shipped.items() if name != "heads.anchor_size_m"}
+    save_file(earlier, file)
+    loaded = load_network(comparator.earlier_detector(tmp_path, tmp_path / "both")).state_dict()
+    assert all(torch.equal(loaded[name], value) for name, value in earlier.items())
+    assert loaded["heads.anchor_size_m"].tolist() == pytest.approx([4.73, 2.08, 1.77])
