@@ -12,6 +12,8 @@ from matplotlib.axes import Axes
 
 FloatArray = npt.NDArray[np.float64]
 
+_MARKER_PT = 3.6
+"""Radius of a marker."""
 LABEL, LEADER = "point label", "leader of a label"  # gid of every placed label, and of its leader line.
 
 
@@ -29,7 +31,7 @@ class PointLabel:
 def place_labels(axes: Axes, labels: Sequence[PointLabel], markers: FloatArray, lines: Sequence[FloatArray]) -> None:
     """Place labels beside their points without overlaps between labels and, if possible, with markers and lines.
 
-    A distant label gets a leader line. The figure's layout must be final.
+    A distant label gets a leader line, which other labels may cross. The figure's layout must be final.
 
     Args:
         axes: with its limits set.
@@ -39,6 +41,7 @@ def place_labels(axes: Axes, labels: Sequence[PointLabel], markers: FloatArray, 
     if not labels:
         return
     ordered = sorted(labels, key=lambda label: not label.strong)
+    markers = _with_rims(axes, markers)
     textalloc.allocate(
         axes,
         [label.x for label in ordered],
@@ -53,13 +56,22 @@ def place_labels(axes: Axes, labels: Sequence[PointLabel], markers: FloatArray, 
         textcolor=[label.colour for label in ordered],
         margin=0.012,
         min_distance=0.02,
-        max_distance=0.4,
-        nbr_candidates=200,
+        max_distance=0.5,
+        nbr_candidates=1000,
         linecolor="#404040",
         linewidth=0.5,
-        avoid_label_lines_overlap=True,
+        avoid_label_lines_overlap=False,
         avoid_crossing_label_lines=True,
         plot_kwargs={"gid": LEADER},
         gid=LABEL,
         zorder=10,
     )
+
+
+def _with_rims(axes: Axes, markers: FloatArray) -> FloatArray:
+    """Add eight points on the rim of each marker, (M, 2) in data coordinates."""
+    angle = np.arange(8) * np.pi / 4
+    rim = np.stack((np.cos(angle), np.sin(angle)), axis=1) * _MARKER_PT * axes.figure.dpi / 72
+    points = axes.transData.transform(markers)
+    around = (points[:, None] + rim).reshape(-1, 2)
+    return np.asarray(axes.transData.inverted().transform(np.concatenate((points, around))))

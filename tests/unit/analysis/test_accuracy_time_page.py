@@ -34,7 +34,38 @@ def crowded_rows() -> list[dict[str, Any]]:
     return [*rows, frontier_row("standard", 4.0, preset="standard", **with_depth(1e-5))]
 
 
+def stacked_rows() -> list[dict[str, Any]]:
+    """Return settings of an attack as they were measured: nearly one error, and times of 190 to 330 ms."""
+    cold, warm, change, newton = "cold, with gradient", "warm start", "warm start's change", "final Newton threshold"
+    measured: list[tuple[str, str, float | None, float, float, float, float]] = [
+        ("standard, shape gradient", cold, None, 332, 329, 353, 1.017),
+        ("plain sphere tracing", cold, None, 573, 541, 574, 1.040),
+        ("standard, warm", warm, None, 210, 208, 278, 1.028),
+        ("draft, warm", warm, None, 169, 158, 201, 8614),
+        ("standard, warm, without live units", "live units", None, 315, 305, 327, 1.001),
+        ("standard, pose gradient", cold, None, 190, 188, 231, 0.658),
+        ("standard, warm pose", warm, None, 196, 191, 238, 0.658),
+        ("standard without grid, pose gradient", cold, None, 248, 245, 301, 1.017),
+        ("standard, warm pose without grid", warm, None, 304, 276, 329, 1.017),
+        *(("change", change, *row) for row in ((0.05, 268, 265, 287, 1.017), (0.8, 239, 222, 259, 1.028))),
+        ("prediction error 0.15", "prediction error", 0.15, 238, 235, 258, 1.022),
+        ("newton", newton, 0.0, 221, 212, 231, 5.423),
+        ("newton", newton, 0.0001, 228, 214, 232, 1.050),
+        ("newton", newton, 0.0003, 200, 196, 243, 1.158),
+        ("newton", newton, 0.001, 233, 213, 258, 4.202),
+        ("newton", newton, 0.002, 201, 190, 227, 15.89),
+    ]
+    rows = []
+    for name, method, knob, ms, low, high, micrometres in measured:
+        changes: dict[str, Any] = {"method": method, "knob": knob, "knob_name": None if knob is None else "step_m"}
+        changes |= {"ms_low": low, "ms_high": high, "gradient": "pose" if "pose" in name else "shape"}
+        changes |= {"grid": "pose" in name and "without grid" not in name}
+        rows.append(frontier_row(name, ms, **changes, **with_depth(micrometres * 1e-6)))
+    return rows
+
+
 CASES = {
+    "stacked": stacked_rows(),
     "realistic": [*realistic_rows(), *realistic_rows("kitti", 1.7)],
     "crowded": crowded_rows(),
     "without any error": [frontier_row("draft", 1.0, preset="draft"), frontier_row("standard", 1.0, preset="standard")],
@@ -87,8 +118,9 @@ def test_no_label_covers_another_and_every_preset_is_named(case: str) -> None:
     assert not [pair for pair in combinations(boxes(legend.get_texts()), 2) if overlapping(*pair)]
 
 
-def test_labels_keep_off_the_markers() -> None:
-    for axes in as_drawn("realistic")[1].axes:
+@pytest.mark.parametrize("case", ["realistic", "stacked"])
+def test_labels_keep_off_the_markers(case: str) -> None:
+    for axes in as_drawn(case)[1].axes:
         markers = np.concatenate([axes.transData.transform(line.get_xydata()) for line in marked(axes)])
         for box in boxes(labels_of(axes)):
             inside = (markers > (box.x0, box.y0)) & (markers < (box.x1, box.y1))
