@@ -62,7 +62,7 @@ class EffectChain:
         scene = with_settings(scene, settings)
         ordered = tuple(name for name in NEEDS if name in names)
         effects = [effect_named(name) for name in ordered]
-        speed = settings.object_speed_m_s or 0.0
+        speed = settings.object_speed_m_s
         context = EffectContext(scene, Beams.of_main_sensor(scene), vehicle, seed, speed, heading_rad)
         cast = Cast(context.beams)
         for effect in effects:

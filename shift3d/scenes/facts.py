@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,49 +11,45 @@ from shift3d.errors import InputError
 from shift3d.scenes.scene import FASTEST_M_S, WEATHER_FIELDS, Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 
+EFFECT_SETTINGS = (
+    *WEATHER_FIELDS.values(),
+    *(part.name for part in fields(SensorModel)),
+    "object_speed_m_s",
+)
+"""Names of `EffectSettings`: strengths of weathers, facts of the sensor, speed of the object along its heading."""
 
-@dataclass(frozen=True)
+
 class EffectSettings:
-    """Settings that replace or complete what scenes state; None: no change.
+    """Settings that replace or complete what scenes state, by the names in `EFFECT_SETTINGS`; None: no change.
 
-    Attributes:
-        visibility_m: meteorological optical range of fog. rain_mm_h, snow_mm_h: rates of rain and snow. The effects
-            apply this weather to the whole scene, whose points do not contain it yet.
-        range_noise_m, divergence_rad, limit_range_m, power_spread: of the sensor, see `SensorModel`.
-        object_speed_m_s: speed of the inserted object along its heading.
+    Their meanings are those of `Conditions` and `SensorModel`. The effects apply this weather to the whole scene, whose
+    points do not contain it yet.
 
+    Raises InputError: an unknown name, or a value that no scene can have, naming the setting and the remedy.
     Source: our choice.
     """
 
-    visibility_m: float | None = None
-    rain_mm_h: float | None = None
-    snow_mm_h: float | None = None
-    range_noise_m: float | None = None
-    divergence_rad: float | None = None
-    limit_range_m: float | None = None
-    power_spread: float | None = None
-    object_speed_m_s: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse values that no scene can have. Raises InputError: naming the setting and the remedy."""
-        for name, value in self.overrides().items():
-            strictly = name in _POSITIVE
-            if name == "object_speed_m_s":
-                if not abs(value) <= FASTEST_M_S:
-                    raise InputError(f"{name} is {value}", "effects", f"Give {-FASTEST_M_S:g} to {FASTEST_M_S:g}")
-            elif not np.isfinite(value) or value < 0.0 or (strictly and value == 0.0):
-                remedy = "Give a positive number" if strictly else "Give a finite number of at least 0"
-                raise InputError(f"{name} is {value}", "effects", remedy)
+    def __init__(self, **values: float | None) -> None:
+        self._given = {name: value for name, value in values.items() if value is not None}
+        if unknown := sorted(self._given.keys() - set(EFFECT_SETTINGS)):
+            raise InputError(f"no setting {unknown[0]}", "effects", f"Choose from {', '.join(EFFECT_SETTINGS)}")
+        if not abs(self.object_speed_m_s) <= FASTEST_M_S:
+            what = f"object_speed_m_s is {self.object_speed_m_s}"
+            raise InputError(what, "effects", f"Give {-FASTEST_M_S:g} to {FASTEST_M_S:g}")
         # A scene has these bounds too; after the settings are applied it is not validated a second time.
-        _sensor(SensorModel(), self.overrides()).validate("effects")
-        _weather(Conditions(weather_in_points=False), self.overrides(), "").validate("effects")
+        _sensor(SensorModel(), self._given).validate("effects")
+        _weather(Conditions(weather_in_points=False), self._given, "").validate("effects")
+
+    @property
+    def object_speed_m_s(self) -> float:
+        """Speed of the inserted object along its heading; 0 if it is not set."""
+        return self._given.get("object_speed_m_s", 0.0)
 
     def overrides(self) -> dict[str, float]:
         """Return the settings that are not None, by name."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        return dict(self._given)
 
 
-_POSITIVE = ("visibility_m", "range_noise_m", "divergence_rad", "limit_range_m")
 _SENSOR = {part.name for part in fields(SensorModel)}
 
 
@@ -83,7 +79,7 @@ def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) ->
             raise InputError(what, f"effects, scene {scene}", f"Leave out {', '.join(other)}, or this scene")
         return replace(conditions, **about)
     stated = "dry" if WEATHER_FIELDS.get(conditions.weather) in about else conditions.weather
-    weather = next((word for word, name in WEATHER_FIELDS.items() if about.get(name)), stated)
+    weather = next((word for word, name in reversed(WEATHER_FIELDS.items()) if about.get(name)), stated)
     return replace(conditions, weather=weather, weather_in_points=False, **about)
 
 

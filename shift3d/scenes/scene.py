@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,9 @@ from shift3d.scenes.file_checks import FARTHEST_M, refuse_not_finite, require_ar
 from shift3d.scenes.ground_map import GroundMap
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
-WEATHER_FIELDS = {"snow": "snow_mm_h", "rain": "rain_mm_h", "fog": "visibility_m"}
-"""Field of `Conditions` with the strength of each weather."""
+WEATHER_FIELDS = {"fog": "visibility_m", "rain": "rain_mm_h", "snow": "snow_mm_h"}
+"""Field of `Conditions` with the strength of each weather, also the name of its setting. Of several weathers that
+settings add to a scene, the last in this order names the scene's weather."""
 WEATHERS = ("dry", *WEATHER_FIELDS)
 LEAST_VISIBILITY_M = 1e-3
 """Densest fog (our choice). At 1e-15 m float64 has no two positions in the first metre to resolve the echo."""
@@ -100,13 +102,14 @@ class Conditions:
         if self.weather not in WEATHERS:
             what = f"unknown weather {self.weather!r}"
             raise InputError(what, f"{where}, conditions.weather", f"Choose from {', '.join(WEATHERS)}.")
-        for name in ("rain_mm_h", "snow_mm_h"):
-            rate = getattr(self, name)
-            if not 0.0 <= rate < float("inf"):
-                raise InputError(f"{rate} mm/h", f"{where}, conditions.{name}", "Give a finite rate of at least 0.")
         if not self.visibility_m >= LEAST_VISIBILITY_M:
             remedy = f"Give at least {LEAST_VISIBILITY_M:g} m (inf: clear)."
             raise InputError(f"{self.visibility_m} m", f"{where}, conditions.visibility_m", remedy)
+        for name in WEATHER_FIELDS.values():
+            value = getattr(self, name)
+            if not (0.0 <= value < float("inf") or value == getattr(Conditions, name)):
+                remedy = "Give a finite number of at least 0."
+                raise InputError(f"{value}", f"{where}, conditions.{name}", remedy)
         if self.ego_velocity_m_s is not None and not (np.abs(self.ego_velocity_m_s) <= FASTEST_M_S).all():
             what, remedy = f"{self.ego_velocity_m_s}", f"Repair the poses: give at most {FASTEST_M_S:g} m/s, or None."
             raise InputError(what, f"{where}, conditions.ego_velocity_m_s", remedy)
@@ -206,8 +209,8 @@ class Scene:
             "ground_z_m": float(self.ground_z_m).hex(),
             "classes": self.labels.classes,
             "names": self.labels.names,
-            "conditions": asdict(self.conditions),
-            "sensor": None if self.sensor is None else asdict(self.sensor),
+            "conditions": _hashed(self.conditions),
+            "sensor": None if self.sensor is None else _hashed(self.sensor),
         }
         if self.labels.kinds:  # the digest of scenes without kinds does not depend on this field
             header["kinds"] = self.labels.kinds
@@ -229,6 +232,16 @@ class Scene:
         return [field for field in fields if field[1] is not None]
 
 
+def _hashed(part: Conditions | SensorModel) -> dict[str, Any]:
+    """Return the values that enter a digest. A field added later enters only if it differs from its default."""
+    values = asdict(part).items()
+    return {name: value for name, value in values if name in _ALWAYS_HASHED or value != getattr(type(part), name)}
+
+
+_ALWAYS_HASHED = (
+    *("weather", "rain_mm_h", "snow_mm_h", "visibility_m", "ego_velocity_m_s", "weather_in_points"),
+    *("motion_compensated", "range_noise_m", "divergence_rad", "limit_range_m", "power_spread"),
+)
 _POINT_FIELDS: tuple[tuple[str, type[np.generic], int | None], ...] = (
     ("points", np.float32, 3),
     ("origins", np.float32, 3),

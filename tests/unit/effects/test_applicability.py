@@ -11,7 +11,7 @@ import pytest
 from shift3d.effects import applicability
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, Choice, choose
 from shift3d.errors import InputError
-from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
+from shift3d.scenes.facts import EFFECT_SETTINGS, DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
@@ -191,7 +191,7 @@ def test_remedies_name_settings_that_exist():
     for need in NEEDS.values():
         words = [word.strip(".,;") for word in need.remedy.split() if word.startswith("effects.")]
         for word in words:
-            assert word.removeprefix("effects.") in EffectSettings.__dataclass_fields__
+            assert word.removeprefix("effects.") in EFFECT_SETTINGS
 
 
 def test_unknown_names_are_refused_with_those_that_are_known():
@@ -231,7 +231,12 @@ def test_settings_supply_what_a_scene_does_not_state(settings, expected):
 
 def test_every_setting_is_read_by_an_effect():
     read = {name for need in NEEDS.values() for name in need.settings}
-    assert read == {field.name for field in dataclasses.fields(EffectSettings)}, "`settings` in applicability.NEEDS"
+    assert read == set(EFFECT_SETTINGS), "`settings` in applicability.NEEDS"
+
+
+def test_a_setting_without_a_name_of_its_own_is_refused():
+    with pytest.raises(InputError, match=r"no setting hail_mm_h.*rain_mm_h"):
+        EffectSettings(hail_mm_h=5.0)
 
 
 def test_a_speed_of_the_object_calls_for_rolling_shutter_where_times_are_known():

@@ -10,6 +10,7 @@ import pytest
 
 from shift3d.errors import InputError
 from shift3d.scenes.scene import Conditions, Labels, Scene
+from shift3d.scenes.sensor import SensorModel
 
 
 def make_scene(**changes: Any) -> Scene:
@@ -123,3 +124,23 @@ def test_hash_is_of_the_content() -> None:
 )
 def test_hash_changes_with_every_field(changes: dict[str, Any]) -> None:
     assert make_scene().content_hash() != make_scene(**changes).content_hash()
+
+
+@dataclasses.dataclass(frozen=True)
+class WithHail(Conditions):
+    hail_mm_h: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class WithWavelength(SensorModel):
+    wavelength_nm: float = 905.0
+
+
+def test_a_new_field_changes_no_hash_of_scenes_that_do_not_state_it() -> None:
+    """The seed of a placement depends on the scene's hash: a new weather must not move the vehicles of dry scenes."""
+    for name, old, new, stated in (
+        ("conditions", Conditions(), WithHail(), WithHail(hail_mm_h=2.0)),
+        ("sensor", SensorModel(), WithWavelength(), WithWavelength(wavelength_nm=1550.0)),
+    ):
+        known, same, other = (make_scene(**{name: value}).content_hash() for value in (old, new, stated))
+        assert known == same != other
