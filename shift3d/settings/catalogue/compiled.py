@@ -7,6 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from shift3d.attack.names import GRADIENT_FREE, OVER_KINDS
 from shift3d.detectors.names import ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.detector_files import detector_layouts
@@ -25,13 +26,14 @@ _done: dict[str, str] = {}
 def refuse_gradient_search(config: Config) -> None:
     """Refuse a gradient search on an ONNX file or a user's detector that returns scores. Raises: InputError."""
     search, detector = config.attack.search, config.detector
-    if search in ("evolution", "random"):
+    if search in GRADIENT_FREE:
         return
     if detector.name == ONNX or (detector.name == OWN and _returns_scores_only(detector)):
         what = "an ONNX file" if detector.name == ONNX else f"{detector.module} (numpy arrays)"
         what = f"attack.search={search} follows a gradient, and {what} gives none"
-        remedy = "random" if config.attack.space == "family" else "evolution, or random"
-        raise InputError(what, f"detector={detector.name}", f"Give attack.search={remedy}")
+        fitting = [name for name in GRADIENT_FREE if config.attack.space != "family" or name in OVER_KINDS]
+        remedy = f"Give attack.search={', or '.join(fitting)}"
+        raise InputError(what, f"detector={detector.name}", remedy)
 
 
 def _returns_scores_only(config: DetectorConfig) -> bool:

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from shift3d.attack.names import SearchName, SpaceName
+from shift3d.attack.names import OVER_KINDS, SearchName, SpaceName
 from shift3d.settings.schema.records import LARGEST, Count, NonNegativeFloat, NonNegativeInt, Positive, Record
 
 
@@ -66,9 +66,9 @@ class AttackConfig(Record):
 
     @model_validator(mode="after")
     def _searches_over_kinds(self) -> Self:
-        if self.space == "family" and self.search not in ("expectation", "random"):
+        if self.space == "family" and self.search not in OVER_KINDS:
             what = f"search {self.search} stays with one kind, and space family goes over kinds"
-            raise ValueError(what, "Give attack.search=expectation or random")
+            raise ValueError(what, f"Give attack.search={' or '.join(OVER_KINDS)}")
         return self
 
     @model_validator(mode="after")
