@@ -13,7 +13,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from shift3d.attack.names import SearchName, SpaceName
 from shift3d.seeding import derive_seed
@@ -102,8 +102,9 @@ class AttackSpec:
         return f"{self.search}{space}{budget}{scenes}{edit}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values. Later fields are left out at the value of the paper, so that tasks keep their ids."""
-        return {name: value for name, value in vars(self).items() if _LATER.get(name) != value}
+        """Return plain values. A later field is left out at its default, so that earlier tasks keep their ids."""
+        values = vars(self).items()
+        return {name: value for name, value in values if name in _FIRST or value != getattr(type(self), name)}
 
 
 def split_label(label: str) -> tuple[str, float | None]:
@@ -119,13 +120,15 @@ def label_words(label: str) -> str:
     return f"{head.replace('_', ' ')} {edit}".rstrip()
 
 
-_EDITED = re.compile(r"([a-z]+(?:_(?:pca\d+|parameters|family))?(?:_within[^_]+)?(?:_universal\d+)?)_(.+:.+)")
+_SPACES = "|".join(rf"{name}\d*" for name in get_args(SpaceName))
+_EDITED = re.compile(
+    rf"((?:{'|'.join(get_args(SearchName))})(?:_(?:{_SPACES}))?(?:_within[^_]+)?(?:_universal\d+)?)_(.+:.+)"
+)
 BUDGET_RULE = 2
 """Raised if a search within a budget of naturalness gives another shape under the same settings."""
-_LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
-          "random_search": 0, "naturalness": 0.0, "noise_share": 0.0, "search_scenes": 0, "edit": "",
-          "space_hash": "", "budget_rule": 0, "below_ground_m": 0.0}  # fmt: skip
-"""Fields added to specs during version 6, with the values that leave an earlier task unchanged."""
+_FIRST = ("steps", "selection_window", "random_replicates", "noise_replicates", "noise_sigma", "max_shift_m",
+          "max_tilt_rad", "detection_radius_m")  # fmt: skip
+"""Fields of version 6 from its start. The default of any other field leaves an earlier task unchanged."""
 
 
 @dataclass(frozen=True)

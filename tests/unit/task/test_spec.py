@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
-from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene
+from shift3d.attack.names import SearchName, SpaceName
+from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene, label_words
 
 SPEC = TaskSpec("suv", "street_000", "street-hdl64", "shape", 1.0, 0.01, "pointpillars", "standard")
 
@@ -56,6 +57,24 @@ def test_every_part_of_the_search_changes_the_id_and_comes_back(field: dataclass
 def test_the_id_is_pinned() -> None:
     """A change of this value makes every finished sweep unresumable: raise SPEC_VERSION with it."""
     assert SPEC.task_id == "afa09fae1ef967efaad2268bd09b5990"
+
+
+@dataclasses.dataclass(frozen=True)
+class WithLoss(AttackSpec):
+    loss: str = "paper"
+
+
+def test_a_new_field_of_the_search_leaves_ids_alone_at_its_default() -> None:
+    ids = [dataclasses.replace(SPEC, attack=attack).task_id for attack in (WithLoss(), WithLoss(loss="top_logit"))]
+    assert ids[0] == SPEC.task_id != ids[1]
+
+
+@pytest.mark.parametrize("search", get_args(SearchName))
+@pytest.mark.parametrize("space", get_args(SpaceName))
+def test_the_words_of_a_label_leave_an_edit_unchanged(search: SearchName, space: SpaceName) -> None:
+    spec = AttackSpec(search=search, space=space, naturalness=95.0, edit="rear_window.slope_rad:-1")
+    words = dataclasses.replace(spec, edit="").label.replace("_", " ")
+    assert label_words(spec.label) == f"{words} rear_window.slope_rad:-1"
 
 
 def test_a_spec_of_the_version_before_is_read_by_todays_names() -> None:
