@@ -41,7 +41,7 @@ class Rendering:
         points: (N, 3) scene frame, metres, dtype and order of the scene's points. Points of beams without a hit are the
             scene's own, bit for bit. Differentiable w.r.t. the pose and the latent code if these require gradients.
         hit_mask: (N,) bool, m_i of the paper: points on the object.
-        range_m: (N,) float64 range of each rendered return from its beam's own sensor.
+        range_m: (N,) float64 range of each rendered return from its beam's own sensor; carries no gradient.
         max_residual_m: largest |metric g| at a hit; 0 without hits.
         unresolved_beams: number of beams that could not be decided; their points stay where they were.
         evaluations: points at which the field was evaluated (the gradient's evaluations not included).
