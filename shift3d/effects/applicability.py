@@ -148,9 +148,7 @@ def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFac
     if isinstance(wanted, str):
         wanted = () if wanted == "none" else (wanted,)
     for name in wanted:
-        if name not in NEEDS:
-            raise InputError(f"unknown effect {name!r}", "effects", f"Choose from auto, none, {', '.join(NEEDS)}")
-        if not NEEDS[name].present(scene):
+        if not need_of(name).present(scene):
             what = f"scene {scene.scene_id} has no data for {name}: {NEEDS[name].lacking}"
             raise InputError(what, "effects", NEEDS[name].remedy)
     impacts = measured_impact()
@@ -159,6 +157,13 @@ def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFac
         for name in NEEDS
         if name in wanted
     ]
+
+
+def need_of(name: str) -> DataRequirement:
+    """Return the data that an effect needs. Raises InputError: an unknown name."""
+    if name not in NEEDS:
+        raise InputError(f"unknown effect {name!r}", "effects", f"Choose from auto, none, {', '.join(NEEDS)}")
+    return NEEDS[name]
 
 
 def _applicable(scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from shift3d.effects.applicability import NEEDS, effect_named
+from shift3d.effects.applicability import NEEDS, effect_named, need_of
 from shift3d.effects.base import Cast, CastStep, EffectContext, FootprintStep, Insertion, Returns, ReturnsStep
 from shift3d.effects.physics.materials import albedo_of
 from shift3d.render.beams import Beams
@@ -58,9 +58,11 @@ class EffectChain:
         """Bind effects (names in `NEEDS`, any order) to a scene. Not differentiable.
 
         heading_rad: heading of the object at its placement, also its direction of travel.
+        Raises InputError: an unknown name.
         """
         scene = with_settings(scene, settings)
-        ordered = tuple(name for name in NEEDS if name in names)
+        wanted = {name: need_of(name) for name in names}
+        ordered = tuple(name for name in NEEDS if name in wanted)
         effects = [effect_named(name) for name in ordered]
         speed = settings.object_speed_m_s
         context = EffectContext(scene, Beams.of_main_sensor(scene), vehicle, seed, speed, heading_rad)

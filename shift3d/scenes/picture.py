@@ -75,7 +75,7 @@ def draw_view(axes: Axes, scene: Scene) -> None:
     axes.set_axis_off()
 
 
-def save_picture(scene: Scene, path: Path, free_m: NDArray[np.float64] | None = None) -> None:
+def save_picture(scene: Scene, path: Path | str, free_m: NDArray[np.float64] | None = None) -> None:
     """Write both views side by side as a PNG. free_m: see `draw_bev`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -86,7 +86,7 @@ def save_picture(scene: Scene, path: Path, free_m: NDArray[np.float64] | None = 
     points = draw_bev(left, scene, free_m)
     figure.colorbar(points, ax=left, label="height above the ground at the sensor, m", shrink=0.6, extend="both")
     draw_view(right, scene)
-    write_atomic(path, lambda temporary: figure.savefig(temporary, format="png"))
+    write_atomic(Path(path), lambda temporary: figure.savefig(temporary, format="png"))
 
 
 def _colour(name: str) -> str:

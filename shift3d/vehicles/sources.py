@@ -75,7 +75,10 @@ class VehicleSource(Protocol):
         ...
 
     def decoder(self) -> Decoder | DeepSdfNetwork:
-        """Return the decoder: float32, eval mode, no weight gradients. Raises: InputError for unusable files."""
+        """Return the decoder, one object per source: float32, eval mode, no weight gradients.
+
+        Raises: InputError for unusable files.
+        """
         ...
 
     def decoder_hash(self) -> str:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from shift3d.render import Beams, preset, render
-from shift3d.sdf.decoder import load_decoder
+from shift3d.vehicles.sources import VehicleSet
 
 PAGE = Path(__file__).parents[3] / "docs" / "architecture.md"
 
@@ -44,7 +44,7 @@ def test_the_lines_take_one_step(names: dict[str, Any]) -> None:
 
 
 def test_the_gradient_of_every_beam_is_that_of_finite_differences(names: dict[str, Any]) -> None:
-    scene, vehicle, decoder = names["scene"], names["vehicle"], load_decoder().double()
+    scene, vehicle, decoder = names["scene"], names["vehicle"], VehicleSet().decoder().double()
     beams = Beams.from_arrays(scene.points.astype(np.float64), scene.origins[0])
     settings = preset("reference").with_(min_n_dot_d=0.0)
     code0, theta0 = names["code0"].double(), names["theta0"]

@@ -208,3 +208,8 @@ def test_the_scene_itself_is_never_written_to() -> None:
     names = ["origins", "no_return_beams", "rolling_shutter", "divergence", "fog", "ray_drop"]
     chain_of(names, scene, settings).render(CAR, THETA, SETTINGS)
     assert scene.content_hash() == before
+
+
+def test_an_unknown_effect_is_refused() -> None:
+    with pytest.raises(InputError, match=r"unknown effect 'fogg'.*fog"):
+        chain_of(["origins", "fogg"], scene_of())
