@@ -16,11 +16,13 @@ from shift3d.training.detector.recipe import Recipe
 
 Objective = AnchorObjective | CentreObjective
 """Objective of one kind of heads: targets of a crop, the cells whose box is trained, and the loss."""
+OBJECTIVES: dict[str, type[Objective]] = {"anchors": AnchorObjective, "centres": CentreObjective}
+"""Objectives by kind of heads, see `pillar_detectors.PILLAR_NETWORKS`."""
 
 
 def objective_of(recipe: Recipe) -> Objective:
     """Return the objective for the heads of a recipe."""
-    return CentreObjective(recipe) if recipe.heads == "centres" else AnchorObjective(recipe)
+    return OBJECTIVES[recipe.heads](recipe)
 
 
 def map_fields(target: Any, change: Callable[[Any], Any]) -> Any:

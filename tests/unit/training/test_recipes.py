@@ -13,11 +13,13 @@ from safetensors.torch import load_file, save_file
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models import weights as weights_module
 from shift3d.detectors.models.anchor_heads import AnchorSpec
-from shift3d.detectors.models.pillar_detectors import PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import PILLAR_NETWORKS, PointPillarsNet
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 from shift3d.training.detector import warm_start
 from shift3d.training.detector.loop import recompute_statistics
+from shift3d.training.detector.objective import OBJECTIVES
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector.recipes import RECIPES, changed
 from shift3d.training.detector.train import export_weights
@@ -29,6 +31,12 @@ WINDOW = BevWindow(200, 200, 64, 64, 200, 200, 64, 64)
 @pytest.mark.parametrize("name", RECIPES)
 def test_every_shipped_recipe_can_be_trained_by_and_is_of_its_name(name: str) -> None:
     assert RECIPES[name].validate().detector == name
+
+
+def test_every_detector_has_a_network_a_recipe_and_settings_and_every_kind_of_heads_an_objective() -> None:
+    settings = {file.stem for file in (Path(__file__).parents[3] / "conf" / "detector").glob("*.yaml")}
+    assert set(DETECTOR_NAMES) == set(weights_module.NETWORKS) == set(RECIPES) == settings & set(RECIPES)
+    assert set(OBJECTIVES) == set(PILLAR_NETWORKS)
 
 
 def test_words_change_fields_of_the_recipe_and_of_its_augmentation() -> None:
