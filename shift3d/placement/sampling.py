@@ -158,6 +158,9 @@ def place(
     If all attempts fail, positions without ground are tried again with a thorough ground search. This second pass does
     not change the result of scenes with a valid pose in the first pass.
 
+    Args: site: facts of the scene, such as from `task.places.placement_context_of`. sdf: field of the vehicle's code,
+    sdf frame, in `settings.dtype`. vehicle: scale, axes and size. settings: of the renderings that count returns.
+    Returns: the pose with its rendering, or `NoPlacement` with the reasons. Not differentiable.
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
     # Placement needs only the hit mask, so a vehicle too large for the tolerance is rendered to the dtype's limit.
