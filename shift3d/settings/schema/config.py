@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, create_model, model_validator
+from pydantic import Field, model_validator
 
 from shift3d.detectors.names import FOREIGN, ONNX, OWN, DetectorName
 from shift3d.effects.applicability import NEEDS
-from shift3d.scenes.scene import WEATHER_FIELDS
 from shift3d.settings.names import Text
 from shift3d.settings.schema.attack import AttackConfig
 from shift3d.settings.schema.records import Count, NonNegativeFloat, NonNegativeInt, Positive, Record, Seed, Share
@@ -162,22 +161,22 @@ class AccuracyConfig(Record):
 
 
 if TYPE_CHECKING:
-
-    class EffectsAndWeather(Record):
-        use: dict[str, bool]
+    EffectName = str
 else:
-    STRENGTHS = dict.fromkeys(WEATHER_FIELDS.values(), (NonNegativeFloat | None, ...))
-    USE = (dict[Literal["auto", *NEEDS], bool], ...)
-    EffectsAndWeather = create_model("EffectsAndWeather", __base__=Record, use=USE, **STRENGTHS)
+    EffectName = Literal["auto", *NEEDS]
 
 
-class EffectsConfig(EffectsAndWeather):
+class EffectsConfig(Record):
     """Effects beyond the paper's sensor model, and sensor and weather values that override those of scenes.
 
     use: forced effects by name; "auto": the effects that a scene calls for; empty: the paper's sensor model.
     Other fields: see `scenes.facts.EffectSettings`. Weather applies to the whole scene.
     """
 
+    use: dict[EffectName, bool]
+    visibility_m: Positive | None
+    rain_mm_h: NonNegativeFloat | None
+    snow_mm_h: NonNegativeFloat | None
     range_noise_m: Annotated[float, Field(gt=0, le=10.0)] | None
     divergence_rad: Annotated[float, Field(gt=0, le=0.1)] | None
     limit_range_m: Annotated[float, Field(gt=0, le=1e5)] | None

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, TypeAdapter, create_model, model_validator
+from pydantic import Field, TypeAdapter, model_validator
 
 from shift3d.errors import InputError
 from shift3d.scenes.reflectance import MOST_RAW
-from shift3d.scenes.scene import WEATHER_FIELDS
-from shift3d.scenes.street.options import BEAM_NAMES, LIMITS, MOST_SENSORS, WEATHER_STRENGTHS, StreetOptions
+from shift3d.scenes.street.options import BEAM_NAMES, LIMITS, MOST_SENSORS, StreetOptions
 from shift3d.settings.names import Name, Text
 from shift3d.settings.schema.records import Count, Record, Seed
 
@@ -22,22 +21,17 @@ Metres = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
 
 if TYPE_CHECKING:
     BeamName = str
-
-    class StreetWeather(Record):
-        weather: str = "dry"
 else:
     BeamName = Literal[*BEAM_NAMES]
-    WEATHER = (Literal["dry", *WEATHER_STRENGTHS], "dry")
-    STRENGTHS = {
-        name: (Annotated[float, Field(gt=0, le=LIMITS[name])] | None, None)
-        for name in map(WEATHER_FIELDS.get, WEATHER_STRENGTHS)
-    }
-    StreetWeather = create_model("StreetWeather", __base__=Record, weather=WEATHER, **STRENGTHS)
 
 
-class StreetOptionsConfig(StreetWeather):
+class StreetOptionsConfig(Record):
     """Options of street scenes beyond one return per beam, see `scenes.street.options`. All are off by default."""
 
+    weather: Literal["dry", "rain", "fog", "snow"] = "dry"
+    rain_mm_h: Annotated[float, Field(gt=0, le=LIMITS["rain_mm_h"])] | None = None
+    visibility_m: Annotated[float, Field(gt=0, le=LIMITS["visibility_m"])] | None = None
+    snow_mm_h: Annotated[float, Field(gt=0, le=LIMITS["snow_mm_h"])] | None = None
     sensor_model: bool = False
     range_image: bool = False
     returns: Literal[1, 2] = 1
