@@ -72,6 +72,13 @@ class AttackConfig(Record):
         return self
 
     @model_validator(mode="after")
+    def _budget_in_percent(self) -> Self:
+        if 0.0 < self.naturalness < 1.0:
+            what = f"naturalness is {self.naturalness:g}, and a percentile goes from 1 to 100"
+            raise ValueError(what, f"Give attack.naturalness={100.0 * self.naturalness:g}, or 0 for no limit")
+        return self
+
+    @model_validator(mode="after")
     def _steps_beside_the_starts(self) -> Self:
         wanted = self.starts > 1 or self.steps > 0
         needed = self.starts - 1 + self.placements

@@ -182,6 +182,10 @@ def test_configuration_names_no_code() -> None:
         (["scenes.returns=3"], "unknown scenes.returns '3'. One of: 1, 2"),
         (["attack.detection_radius_m=8"], "attack.detection_radius_m is 8: input should be less than or equal to 5"),
         (["attack.noise_share=5"], "attack.noise_share is 5: input should be less than or equal to 1"),
+        (
+            ["attack.naturalness=0.95"],
+            "naturalness is 0.95, and a percentile goes from 1 to 100. Give attack.naturalness=95,",
+        ),
         (["attack.steps=-1"], "attack.steps is -1: input should be greater than or equal to 0"),
         (["attack.steps=many"], "attack.steps is 'many': input should be a valid integer"),
         (["attack.steps=2.5"], "attack.steps is 2.5"),
