@@ -17,7 +17,7 @@ DETECTOR = "pointpillars"
 
 def variant(scores: dict[tuple[str, str], list[float]], mode: str = "shape", **more: Any) -> Variant:
     """Make a variant from scores by (method, vehicle), a score per scene. more: columns by task "vehicle-scene"."""
-    more = {"natural": {}, **more}
+    more = {"natural": {}, "best_step": {}, **more}
     weight = 1.0 if mode == "shape" else np.nan
     rows = [
         {"task_id": f"{vehicle}-{scene}", "place": f"street/{scene}", "method": method, "vehicle": vehicle}

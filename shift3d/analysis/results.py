@@ -95,10 +95,11 @@ def places_of(rows: pd.DataFrame, dataset: str = "dataset", scene: str = "scene"
 
 
 def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
-    """Return the naturalness of the adversarial shape by task, for tasks that search a shape and were measured."""
+    """Return the naturalness of the adversarial shape by task, for tasks with a new shape that was measured."""
     if "natural" not in scores:
         return {}
     found = scores[(scores["method"] == "adversarial") & (scores["mode"] != "pose") & scores["natural"].notna()]
+    found = found[found["best_step"] != 0]  # at step 0 the shape is the baseline's
     return {str(task): bool(natural) for task, natural in zip(found["task_id"], found["natural"])}
 
 

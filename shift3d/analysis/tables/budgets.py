@@ -73,4 +73,4 @@ def _shapes(rows: pd.DataFrame) -> list[str]:
     own = rows[rows["method"] == "adversarial"].drop_duplicates("task_id")
     judged = own[own["natural"].notna()]
     natural = f"{int(judged['natural'].eq(True).sum())} of {len(judged)}" if len(judged) else "-"
-    return [natural, number(own["surface_distance_cm"].median() if "surface_distance_cm" in own else None, 1)]
+    return [natural, number(judged["surface_distance_cm"].median() if "surface_distance_cm" in own else None, 1)]

@@ -78,7 +78,7 @@ def judged_scores(natural: list[bool]) -> pd.DataFrame:
     for number in range(4):
         task = {"task_id": f"t{number}", "vehicle": "suv", "detector": "p", "alpha": 0.01, "lambda": 1.0}
         task |= {"mode": "shape", "natural": natural[number], "search": "descent", "accuracy": "standard"}
-        task |= {"effects": []}
+        task |= {"effects": [], "best_step": 3}
         for method, score in (("baseline", 0.8), ("adversarial", 0.6 if number < 2 else 0.0)):
             scores.append(task | {"method": method, "score": score, "scored_by": "p", "replicate": 0})
     return pd.DataFrame(scores)
@@ -104,6 +104,13 @@ def test_natural_shapes_by_lambda() -> None:
     assert last_line(scores.assign(natural=False))[-3:] == ["-", "-", "-"]
     lost = scores[~(scores["task_id"].eq("t0") & scores["method"].eq("baseline"))]
     assert last_line(lost)[-9:-6] == ["1", "of", "3"], "both of a pair or none"
+
+
+def test_a_shape_that_the_search_left_unchanged_is_not_counted_as_a_natural_shape() -> None:
+    scores = judged_scores([True, True, False, False])
+    kept = scores.assign(best_step=scores["best_step"].where(scores["task_id"].ne("t0"), 0))
+    assert last_line(kept)[-9:-6] == ["1", "of", "3"]
+    assert natural_table(scores.assign(best_step=0)) is None
 
 
 def test_a_sweep_of_unnatural_shapes_names_the_one_that_finds_natural_ones() -> None:

@@ -68,6 +68,10 @@ def test_the_unnatural_shapes_stand_in_the_sentence_of_the_ratio() -> None:
     every = {f"suv-{scene}": True for scene in range(3)}
     assert "all 3 shapes are natural" in headline(variant(scores, natural=every))
     assert "was not measured" in headline(variant(scores, natural={}))
+    steps = {"suv-0": 0, "suv-1": 3, "suv-2": 3}
+    kept = headline(variant(scores, natural={"suv-1": True, "suv-2": True}, best_step=steps))
+    assert "1 of 3 tasks unchanged by the search, and all 2 shapes are natural." in kept
+    assert "natural" not in headline(variant(scores, best_step=dict.fromkeys(every, 0))), "no shape was found"
     assert "natural" not in headline(variant(scores, mode="pose"))
 
 

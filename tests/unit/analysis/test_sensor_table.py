@@ -130,7 +130,7 @@ def test_a_street_is_one_place_under_any_beams() -> None:
     """Intervals redraw streets: three sensors do not add streets, and so no certainty."""
     rows = scores(("waymo_top", "hdl32", "hdl64"), streets=12)
     assert places_of(rows).nunique() == 12
-    alike = rows.assign(score=0.05 * places_of(rows).str[-6:].astype(int), natural=None)
+    alike = rows.assign(score=0.05 * places_of(rows).str[-6:].astype(int), natural=None, best_step=1)
     tasks = SimpleNamespace(effects_requested_of=lambda ids: [["auto"]] * len(ids))
     empty = [pd.DataFrame()] * 13
     scored = Sweep(SimpleNamespace(tasks=tasks), {}, alike, *empty).scored  # type: ignore[arg-type]

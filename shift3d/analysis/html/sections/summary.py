@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import pandas as pd
+
 from shift3d.analysis.html.blocks import Block, Collapsible, Items, Paragraph, missing
 from shift3d.analysis.tables.auc import natural_rows, ratio_texts, with_baseline
 from shift3d.analysis.tables.paper import paper_table_of
@@ -47,18 +49,27 @@ def headline(variant: Variant) -> str:
     counts = f"{counted(len(vehicles), 'vehicle')} in {counted(rows['place'].nunique(), 'scene')}"
     return (
         f"{variant.title}: the mean AUC of {counts} {'falls' if after < before else 'goes'} from {before:.3f} to "
-        f"{after:.3f}, a ratio of {ratio}{f' (paper: {paper:.2f})' if paper else ''}{_naturalness(variant)}."
+        f"{after:.3f}, a ratio of {ratio}{f' (paper: {paper:.2f})' if paper else ''}"
+        f"{_unchanged(rows)}{_naturalness(variant)}."
     )
+
+
+def _unchanged(rows: pd.DataFrame) -> str:
+    """Describe the number of tasks whose search kept the baseline. rows: of the adversarial objects."""
+    tasks = rows.drop_duplicates("task_id")
+    kept = int(tasks["best_step"].eq(0).sum())
+    return f", with {kept} of {counted(len(tasks), 'task')} unchanged by the search" if kept else ""
 
 
 def _naturalness(variant: Variant) -> str:
     """Describe the number of unnatural shapes, and the ratio over the natural ones."""
     if variant.mode == "pose":
         return ""
-    tasks = variant.rows.drop_duplicates("task_id")
+    tasks = variant.rows[variant.rows["method"].eq("adversarial") & variant.rows["best_step"].ne(0)]
+    tasks = tasks.drop_duplicates("task_id")
     measured = tasks[tasks["natural"].notna()]
     if measured.empty:
-        return "; the naturalness of the shapes was not measured"
+        return "; the naturalness of the shapes was not measured" if len(tasks) else ""
     unnatural = int(measured["natural"].eq(False).sum())
     text = f", but {unnatural} of {counted(len(measured), 'shape')} {'is' if unnatural == 1 else 'are'} unnatural"
     left = len(measured) - unnatural
