@@ -36,9 +36,9 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     """Render the page of a sweep; the same sweep gives the same text. cases: maximum number of hard cases."""
     plan = sweep.plan
     found, loaded = variants(sweep.auc, sweep.scored), PageCache(plan)
-    known = [small_sweep_warning(plan.tasks), unresponsive_detectors(sweep.scores), *merged_lines(plan.tasks)]
+    known = [small_sweep_warning(plan), unresponsive_detectors(sweep.scores), *merged_lines(plan.tasks)]
     caveat = ". ".join(line for line in known if line)
-    further = natural_search(sweep.scores)
+    further = natural_search(sweep.scores, [assets.vehicles for assets in plan.assets])
     sections: list[tuple[str, str, Callable[[], list[Block]]]] = [
         (
             "short",

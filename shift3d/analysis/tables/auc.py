@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import pandas as pd
 
@@ -23,6 +24,7 @@ _FILES_OF: dict[str, str] = {
     ONNX: " detector.file=FILE.onnx attack.search={search}",
     **dict.fromkeys(FOREIGN, " detector.weights=FILE detector.config=FILE"),
 }
+_VEHICLES = {("set", "wide"): "vehicle=wide"}
 
 
 def natural_table(scores: pd.DataFrame) -> Table | None:
@@ -55,26 +57,36 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
     return Table(f"Natural adversarial shapes ({NATURAL_RULE})", header, lines)
 
 
-def natural_search(scores: pd.DataFrame) -> str | None:
-    """Return the command to search natural shapes if unbudgeted searches left unnatural ones. scores: of ``final/``."""
+def natural_search(scores: pd.DataFrame, vehicles: Sequence[Mapping[str, Any]] = ()) -> str | None:
+    """Return the command to search natural shapes if unbudgeted searches left unnatural ones.
+
+    scores: of ``final/``. vehicles: as for `input_words`.
+    """
     left = {task for task, natural in natural_by_task(scores).items() if not natural}
     rows = scores[scores["task_id"].isin(left) & ~scores["search"].str.contains("_within")]
     if rows.empty:
         return None
-    inputs = input_words(set(rows["dataset"]), set(rows["detector"]), search="random")
+    searched = [one for one in vehicles if one["kind"] != "deepsdf"]  # whose codes the sweep cannot search
+    inputs = input_words(set(rows["dataset"]), set(rows["detector"]), searched, search="random")
     return f"Hard shapes that stay vehicles: shift3d sweep natural{inputs}"
 
 
-def input_words(datasets: set[str], detectors: set[str], search: str = "evolution") -> str:
-    """Return the words after a sweep's name that select the only recorded data set and the only attacked detector.
+def input_words(
+    datasets: set[str], detectors: set[str], vehicles: Sequence[Mapping[str, Any]] = (), search: str = "evolution"
+) -> str:
+    """Return the words after a sweep's name that select the only recorded data set, detector and set of vehicles.
 
-    Streets and the default detector need no word. Several data sets or detectors get none. search: of an ONNX file.
+    Streets, the default detector and the shipped vehicles need no word. Several data sets, detectors or sets get none.
+    vehicles: settings of each set, see `AssetsSpec`. search: of an ONNX file.
     """
     words = []
     if len(datasets) == 1 and not (dataset := next(iter(datasets))).startswith("street"):
         words.append(f"scenes={dataset} scenes.root=PATH")
     if len(detectors) == 1 and (detector := next(iter(detectors))) != _DEFAULT_DETECTOR:
         words.append(f"detector={detector}{_FILES_OF.get(detector, '').format(search=search)}")
+    sets = {(str(one["kind"]), one["folder"]) for one in vehicles}
+    if len(sets) == 1 and (own := next(iter(sets)))[1] is not None:
+        words.append(_VEHICLES.get(own, f"vehicle={own[0]} vehicle.folder=PATH") + " vehicle.name=NAME")
     return "".join(f" {word}" for word in words)
 
 

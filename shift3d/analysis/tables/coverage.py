@@ -17,7 +17,7 @@ from shift3d.analysis.tables.sensors import sensor_table, transfer_table
 from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import variants
 from shift3d.methods import METHODS
-from shift3d.sweep.planning.tasks import Tasks
+from shift3d.sweep.planning.plan import Plan
 from shift3d.wording import counted
 
 
@@ -29,7 +29,7 @@ def sweep_report(sweep: Sweep) -> str:
         budget_table(parted),
         sensor_table(sweep.scores),
         natural_table(sweep.scores),
-        natural_search(sweep.scores),
+        natural_search(sweep.scores, [assets.vehicles for assets in sweep.plan.assets]),
         transfer_table(sweep.transfers),
         *choice_tables(sweep.choices),
         "\n".join(reasons(sweep.choices)),
@@ -48,14 +48,15 @@ _LEAST_STEPS, _LEAST_SCENES = 10, 4
 _SAME_SCORE = 1e-6
 
 
-def small_sweep_warning(tasks: Tasks) -> str | None:
+def small_sweep_warning(plan: Plan) -> str | None:
     """Return a warning if a sweep is too small for meaningful AUCs, with a command for meaningful ones, else None.
 
-    tasks: all tasks of the plan; the largest number of steps counts. Random searches and pure edits count no steps.
+    The largest number of steps counts. Random searches and pure edits count no steps.
     """
-    attacks = [group.template.attack for group in tasks.groups()]
+    groups = plan.tasks.groups()
+    attacks = [group.template.attack for group in groups]
     steps = max((a.steps for a in attacks if a.search != "random" and (a.steps or not a.edit)), default=PAPER_STEPS)
-    scenes = tasks.scenes()
+    scenes = plan.tasks.scenes()
     reasons = []
     if steps < _LEAST_STEPS:
         reasons.append(f"a search of {counted(steps, 'step')} (the paper's: {PAPER_STEPS})")
@@ -63,7 +64,8 @@ def small_sweep_warning(tasks: Tasks) -> str | None:
         reasons.append(f"{counted(len(scenes), 'scene')} (at least {_LEAST_SCENES})")
     if not reasons:
         return None
-    chosen = input_words({dataset for dataset, _ in scenes}, {group.template.detector for group in tasks.groups()})
+    used = {dataset for dataset, _ in scenes}, {group.template.detector for group in groups}
+    chosen = input_words(*used, [assets.vehicles for assets in plan.assets])
     return f"A trial: these AUCs mean nothing, with {' and '.join(reasons)}. For meaningful AUCs: shift3d sweep{chosen}"
 
 

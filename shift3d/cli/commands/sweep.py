@@ -175,7 +175,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     elif sweep.scores.empty:
         print(f"\n{covered}\n", flush=True)
     else:
-        for caveat in filter(None, (small_sweep_warning(plan.tasks), unresponsive_detectors(sweep.scores))):
+        for caveat in filter(None, (small_sweep_warning(plan), unresponsive_detectors(sweep.scores))):
             print(f"\n{caveat}")
         print(f"\n{sweep_report(sweep)}\n", flush=True)
         _show_effects(sweep, result.folder)

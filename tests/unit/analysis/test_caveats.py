@@ -23,9 +23,7 @@ from shift3d.sweep.retrieval import pool_plan
 
 
 def caveat(name: str, *overrides: str) -> str | None:
-    return small_sweep_warning(
-        make_plan(compose_sweep(name, ["vehicle=suv", *overrides]), valid_sweeps.catalogue)[0].tasks
-    )
+    return small_sweep_warning(make_plan(compose_sweep(name, ["vehicle=suv", *overrides]), valid_sweeps.catalogue)[0])
 
 
 @pytest.mark.parametrize("words", [["smoke"], ["default", "attack.steps=5"], ["default", "attack.steps=0,5"]])
@@ -33,6 +31,13 @@ def test_a_search_that_is_cut_short_is_said(words: list[str]) -> None:
     message = caveat(*words)
     assert message and "mean nothing, with a search of 5 steps (the paper's: 40)" in message
     assert message.endswith("For meaningful AUCs: shift3d sweep")
+
+
+def test_the_suggested_command_keeps_the_vehicles() -> None:
+    message = small_sweep_warning(
+        make_plan(compose_sweep("smoke", ["vehicle=wide", "vehicle.name=suv"]), valid_sweeps.catalogue)[0]
+    )
+    assert message and message.endswith("shift3d sweep vehicle=wide vehicle.name=NAME")
 
 
 def test_too_few_scenes_are_said_whatever_the_search() -> None:

@@ -122,6 +122,11 @@ def test_a_sweep_of_unnatural_shapes_names_the_one_that_finds_natural_ones() -> 
     assert logs is not None and logs.endswith("sweep natural scenes=argoverse2 scenes.root=PATH")
     own = natural_search(scores.assign(detector="own"))
     assert own is not None and own.endswith("sweep natural detector=own detector.module=FILE.py")
+    folder = {"kind": "set", "folder": "cars"}
+    cars = natural_search(scores, [folder, folder])
+    assert cars is not None and cars.endswith("sweep natural vehicle=set vehicle.folder=PATH vehicle.name=NAME")
+    instances = natural_search(scores, [{"kind": "deepsdf", "folder": "cars"}])
+    assert instances is not None and instances.endswith("sweep natural"), "its codes have no kinds"
     assert natural_search(scores.assign(natural=True)) is None
     assert natural_search(scores.assign(natural=None)) is None, "not measured"
     assert natural_search(scores.assign(search="expectation_family_within95")) is None, "no command does better"
@@ -255,6 +260,13 @@ def test_the_suggested_sweep_has_the_recorded_data_set_and_the_detector_of_this_
     assert input_words({"openpcdet"}, {"own"}) == own
     assert input_words({"street-hdl64"}, {"sst"}) == " detector=sst"
     assert input_words({"street-hdl64"}, {"pointpillars", "sst"}) == ""
+    sets = {"cars": "vehicle=set vehicle.folder=PATH", "wide": "vehicle=wide"}
+    for folder, words in sets.items():
+        found = input_words({"street-hdl64"}, default, [{"kind": "set", "folder": folder}])
+        assert found == f" {words} vehicle.name=NAME"
+    shipped: dict[str, str | None] = {"kind": "set", "folder": None}
+    assert input_words({"street-hdl64"}, default, [shipped]) == ""
+    assert input_words({"street-hdl64"}, default, [shipped, {"kind": "set", "folder": "cars"}]) == ""
     for name in get_args(DetectorName):
         needs = {"own": "module", "onnx": "file", "openpcdet": "config", "mmdet3d": "config"}.get(name, "")
         assert f"detector.{needs}" in input_words({"street-hdl64"}, {name}) or not needs
