@@ -47,18 +47,21 @@ class ComposedSweep:
     axes: tuple[Axis, ...]
 
 
-def compose_sweep(name: str, overrides: Sequence[str] = (), own: bool = True) -> ComposedSweep:
+def compose_sweep(
+    name: str, overrides: Sequence[str] = (), own: bool = True, where: str | None = None
+) -> ComposedSweep:
     """Compose a sweep file with overrides, once for all tasks.
 
     An override with several values (``vehicle=coupe,suv``) is an axis and replaces the sweep file's axis of the same
     key; axes keep Hydra's multirun order. ``size=small`` inserts the overrides that the sweep file lists under
     ``small``; the given overrides follow and win. own: a sweep file in the current folder wins over the shipped file;
-    False: use the shipped file, as for commands whose sweep the user did not name.
+    False: use the shipped file, as for commands whose sweep the user did not name. where: place that errors name; None:
+    the sweep.
 
     Raises: InputError: unknown sweep, group, option or setting; unreadable or empty override; continuous or shuffled
     axis; no small size.
     """
-    where = f"sweep {name}"
+    where = where or f"sweep {name}"
     sweeps = files("sweeps") if own else {name: shipped("sweeps") / f"{name}.yaml"}
     if name not in sweeps:
         raise messages.choice_error("sweep", name, sweeps, "sweeps/", searched_folders_text("sweeps"))

@@ -64,7 +64,7 @@ def _config(words: Sequence[str]) -> Config:
     if foreign:
         one_of = "One of: scenes=, scenes.SETTING=, scene=, out=, attack.placement.SETTING="
         raise InputError(f"cannot read {foreign[0]!r}", "scenes", one_of)
-    composed = compose_sweep(_SWEEP, ["scenes=street", *words], own=False)
+    composed = compose_sweep(_SWEEP, ["scenes=street", *words], own=False, where="scenes")
     for axis in composed.axes:
         if axis.key.startswith("scene") or axis.key.startswith("attack.placement"):
             raise InputError(

@@ -72,6 +72,7 @@ def test_what_cannot_be_done_is_said_in_one_line(
     assert main(["scenes", *words]) == 2
     printed = capsys.readouterr().err
     assert any(part in printed for part in says.split("|")) and printed.count("\n") == 1
+    assert "sweep retrieval" not in printed, "a sweep that the user did not name"
 
 
 def test_completion_offers_actions_data_sets_and_their_settings() -> None:
