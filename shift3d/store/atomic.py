@@ -79,10 +79,10 @@ def put_if_absent(path: Path, content: bytes) -> bool:
                 temporary.unlink(missing_ok=True)
 
 
-def check_writable(folder: Path, word: str = "out=DIR") -> None:
+def check_writable(folder: Path, word: str = "") -> None:
     """Check that a folder can be written to, or created, by a trial in the nearest existing folder.
 
-    word: setting that names another folder, for the message.
+    word: setting of the command that names another folder, for the message; empty without one.
     Raises: InputError: the folder cannot be written to; the message says what to do.
     """
     with _clear_disk_errors(folder, word):
@@ -128,37 +128,36 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
-_ELSEWHERE = "Choose another folder with {}"
 _FULL = {
     errno.ENOSPC: ("the disk is full", "Free some space and run the same command again"),
     errno.EDQUOT: ("the disk quota is used up", "Free some space and run the same command again"),
     errno.EFBIG: ("the file would pass the size limit", "Raise the limit (ulimit -f) and run the same command again"),
 }
 _REFUSED = {
-    errno.EROFS: ("the file system is read-only", _ELSEWHERE),
-    errno.EACCES: ("no permission to write here", _ELSEWHERE),
-    errno.ENOTDIR: ("part of this path is a file, not a folder", _ELSEWHERE),
+    errno.EROFS: "the file system is read-only",
+    errno.EACCES: "no permission to write here",
+    errno.ENOTDIR: "part of this path is a file, not a folder",
 }
+
+_COPY = "Make it writable, or work on a copy in another folder"
 
 
 @contextlib.contextmanager
-def _clear_disk_errors(path: Path, word: str = "out=DIR") -> Iterator[None]:
+def _clear_disk_errors(path: Path, word: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
         if (full := _full(error, str(path))) is not None:
             raise full from error
-        unknown = f"nothing can be written here ({error.strerror or error})", _ELSEWHERE
-        what, remedy = _REFUSED.get(error.errno or 0, unknown)
-        raise InputError(what, where=str(path), remedy=remedy.format(word)) from error
+        what = _REFUSED.get(error.errno or 0, f"nothing can be written here ({error.strerror or error})")
+        raise InputError(what, str(path), f"Choose another folder with {word}" if word else _COPY) from error
 
 
 def disk_error(error: OSError) -> InputError | None:
     """Return the InputError for a full or read-only disk that a library met; None for other errors."""
     where = str(error.filename or "")
     if error.errno == errno.EROFS:
-        what, remedy = _REFUSED[errno.EROFS]
-        return InputError(what, where, remedy.format("out=DIR"))
+        return InputError(_REFUSED[errno.EROFS], where, _COPY)
     return _full(error, where)
 
 

@@ -95,11 +95,10 @@ class Location(ABC):
         """Return the half-written files in this folder whose writers are dead."""
 
     @abstractmethod
-    def check_writable(self, word: str = "out=DIR") -> None:
+    def check_writable(self, word: str = "") -> None:
         """Check that `put_if_absent` has exactly one winner in this folder.
 
-        word: setting that names another folder, for the message. Raises: InputError: several win, or no file is
-        written.
+        word: see `atomic.check_writable`. Raises: InputError: several win, or no file is written.
         """
 
     @abstractmethod
@@ -164,7 +163,7 @@ class LocalLocation(Location):
         """See `Location`. Files of other machines stay: this machine cannot know if their writers run."""
         return [LocalLocation(path) for path in atomic.leftovers(self.path)]
 
-    def check_writable(self, word: str = "out=DIR") -> None:
+    def check_writable(self, word: str = "") -> None:
         """See `Location`: hard links, where they exist, have one winner, so only the creation of a folder is tried."""
         atomic.check_writable(self.path, word)
 

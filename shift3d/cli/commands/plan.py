@@ -64,7 +64,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
         read_spec(other)  # refuses a folder that is not a sweep's, as read_words does for reuse=
     request = sweep_arguments.read_words(rest)
     if request.out:
-        request.out.check_writable()
+        request.out.check_writable("out=DIR")
     begun = request.out is not None and (request.out / "spec.yaml").is_file()
     catalogue = kind.catalogue if tasks or begun or request.reuse else kind.preview or kind.catalogue
     plan, config = make_plan(compose_sweep(request.name, request.overrides), catalogue)
@@ -72,6 +72,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
     print(plan_summary(plan), flush=True)
     folder = request.out or (None if plan.preview else default_folder(plan))
     if folder:
+        folder.check_writable("out=DIR")
         check_folder(folder, plan)
     print(run_time_lines(plan, folder, request.reuse, timings, config.runner))
     unnamed = f"outputs/{plan.sweep}-HASH; the hash depends on the scenes: --tasks generates them and prints it"

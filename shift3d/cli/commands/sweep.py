@@ -83,6 +83,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     from shift3d.analysis.forecast import expected, limit_line
     from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
+    from shift3d.store.resolve import as_location
     from shift3d.sweep.drive import run_single, run_sweep
     from shift3d.sweep.planning.folder import default_folder
     from shift3d.sweep.planning.plan import make_plan
@@ -102,8 +103,8 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     request = read_words(words)
     if request.job and request.job.address and not arguments.task:
         return _submit(request, request.job.address, arguments.retry_quarantined)
-    if request.out and not arguments.task:
-        request.out.check_writable()  # checked before the scenes are read, which may take minutes
+    if not arguments.task:  # before the scenes are read, which may take minutes
+        (request.out or as_location("outputs")).check_writable("out=DIR")
     plan, config = make_plan(compose_sweep(request.name, request.overrides), kind.catalogue)
     check_tracking(config.tracking)
     folder = request.out or default_folder(plan)

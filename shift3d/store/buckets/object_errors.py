@@ -27,8 +27,8 @@ CHECK = {
 _ALLOWED = "Check them, and that they may list, read, write and delete there"
 # Pattern in the error text, cause, remedy; the first match counts. {credentials} and {check} depend on the store.
 _MEANINGS = (
-    ("NoSuchBucket|bucket does not exist", "there is no such bucket", "Create it, or give another one with out="),
-    ("InvalidBucketName", "is not the name of a bucket", "Give another one with out="),
+    ("NoSuchBucket|bucket does not exist", "there is no such bucket", "Create it, or give another one"),
+    ("InvalidBucketName", "is not the name of a bucket", "Give another one"),
     (
         r"169\.254\.|metadata\.google|fd00:ec2|OpenCredentials|[Cc]redential error|service account file",
         "no credentials that can be used were found",

@@ -232,7 +232,7 @@ class ObjectLocation(Location):
         """See `Location`: always empty, since no object is half-written."""
         return []
 
-    def check_writable(self, word: str = "out=DIR") -> None:
+    def check_writable(self, word: str = "") -> None:
         """See `Location`: tries a probe twice, since some stores ignore the condition (two drivers, one entry)."""
         probe = self / f".probe-{secrets.token_hex(8)}"
         try:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import tempfile
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from valid_sweeps import plan, write_sweep
@@ -68,6 +71,19 @@ def test_the_sweeps_inside_a_sweep_are_looked_at_too(folder: Path, capsys: pytes
     before = files(folder)
     assert main(["gc", str(folder)]) == 0
     assert before.keys() - files(folder).keys() == set(map(str, orphans))
+
+
+def test_a_read_only_disk_gets_an_advice_that_the_command_can_follow(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def read_only(*_: object, **__: object) -> NoReturn:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", read_only)
+    assert main(["compact", str(folder)]) == 2
+    printed = capsys.readouterr().err
+    assert "_log: the file system is read-only. Make it writable, or work on a copy" in printed
+    assert "out=" not in printed.replace(str(folder), "")
 
 
 def test_both_refuse_what_is_no_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
