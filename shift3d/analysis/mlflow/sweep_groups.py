@@ -57,14 +57,17 @@ def overall_metrics(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, 
 
     Returns: ``auc/shape/coupe/adversarial`` and, for the mean, ``shape/adversarial`` to a number (short names, because
     a column of MLflow's list shows about twelve letters); ``recall/shape/adversarial`` to (101,), the mean over
-    vehicles.
+    vehicles. Settings that differ within the sweep follow the method. A score of the attacked detector itself has no
+    name of a scoring detector, so that a sweep with one scoring detector has the same name for it.
     """
     recalls = _recalls(curves)
     values: dict[str, float] = {}
     mean_recalls: dict[str, Recall] = {}
     for variant in variants(auc):
+        implied = ("scored_by",) if variant.scores_itself else ()
+        settings = [text for name, text in variant.differing.items() if name not in implied]
         for method in variant.methods:
-            tail = "/".join([method, *variant.differing.values()])
+            tail = "/".join([method, *settings])
             found = {f"auc/{variant.mode}/{name}/{tail}": variant.aucs.of(method, name) for name in variant.vehicles}
             found[f"{variant.mode}/{tail}"] = variant.aucs.mean(method, variant.vehicles)
             values |= {metric_name(name): value for name, value in found.items() if value is not None}

@@ -14,6 +14,7 @@ import pytest
 from shift3d.analysis.mlflow import sweep_groups
 from shift3d.analysis.mlflow.client import share_view, shared_views
 from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
+from shift3d.analysis.mlflow.sweep_groups import overall_metrics
 from shift3d.evaluation.recall_curve import recall_curve
 
 SAME = {"sweep": "default", "dataset": "street", "mode": "shape", "alpha": 0.01, "detector": "p", "scored_by": "p"}
@@ -32,6 +33,11 @@ def record(folder: Path, rows: list[Any] = ROWS, **counts: float) -> SweepRecord
     (folder / "final" / "scores.parquet").write_bytes(repr(rows).encode())
     for name in ("spec.yaml", "env.json", "plan.parquet"):
         (folder / name).touch()
+    settings = {"attack": {"steps": 40}, "axes": {"vehicle": ["coupe", "suv"]}}
+    return SweepRecord("default", "0123", folder, settings, *record_frames(rows), {"tasks_done": 60, **counts})
+
+
+def record_frames(rows: list[Any]) -> tuple[pd.DataFrame, pd.DataFrame]:
     auc, curves = [], []
     for vehicle, method, weight, scores, selected in rows:
         group = {**SAME, "vehicle": vehicle, "method": method, "lambda": weight}
@@ -43,9 +49,7 @@ def record(folder: Path, rows: list[Any] = ROWS, **counts: float) -> SweepRecord
             curves += [
                 {**group, "score_threshold": t, "recall": r} for t, r in zip(curve.score_threshold, curve.recall)
             ]
-    settings = {"attack": {"steps": 40}, "axes": {"vehicle": ["coupe", "suv"]}}
-    frames = pd.DataFrame(auc), pd.DataFrame(curves)
-    return SweepRecord("default", "0123", folder, settings, *frames, {"tasks_done": 60, **counts})
+    return pd.DataFrame(auc), pd.DataFrame(curves)
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +112,17 @@ def test_a_run_with_aucs_curves_settings_and_files_and_a_run_a_group(mirrored: s
     assert group.info.status == "FINISHED" and group.data.metrics["auc"] == 0.9
     assert (group.data.params["selected"], group.data.params["lambda"]) == ("False", "10")
     assert "auc" not in groups["shape/suv/baseline/lambda=-"].data.metrics
+
+
+def test_the_attacked_detectors_own_auc_has_one_name_whatever_other_detectors_score() -> None:
+    """Two runs can be compared only by metrics of one name."""
+    own = record_frames([("suv", "adversarial", 1.0, [0.2, 0.4], True)])
+    other = [frame.assign(scored_by="q") for frame in record_frames([("suv", "adversarial", 1.0, [0.9], True)])]
+    alone, curves = overall_metrics(*own)
+    both, more = overall_metrics(*(pd.concat(pair) for pair in zip(own, other)))
+    assert set(alone) == {"auc/shape/suv/adversarial", "shape/adversarial"}
+    assert {name: both[name] for name in alone} == alone and both["shape/adversarial/q"] == 0.9
+    assert set(more) == {*curves, "recall/shape/adversarial/q"}
 
 
 def test_curves_are_recall_over_the_threshold_in_percent(mirrored: str) -> None:
