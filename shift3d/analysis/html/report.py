@@ -23,7 +23,12 @@ from shift3d.analysis.html.sections.stability import accuracy, stability
 from shift3d.analysis.html.sections.summary import in_short
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.auc import natural_search
-from shift3d.analysis.tables.coverage import no_placement_message, small_sweep_warning, unresponsive_detectors
+from shift3d.analysis.tables.coverage import (
+    no_placement_message,
+    small_sweep_warning,
+    unresponsive_detectors,
+    unscored_tasks,
+)
 from shift3d.analysis.variants import variants
 from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
@@ -36,9 +41,10 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     """Render the page of a sweep; the same sweep gives the same text. cases: maximum number of hard cases."""
     plan = sweep.plan
     found, loaded = variants(sweep.auc, sweep.scored), PageCache(plan)
-    known = [small_sweep_warning(plan), unresponsive_detectors(sweep.scores), *merged_lines(plan.tasks)]
+    known = [unscored_tasks(sweep.scores, len(plan.tasks)), small_sweep_warning(plan)]
+    known += [unresponsive_detectors(sweep.scores), *merged_lines(plan.tasks)]
     caveat = ". ".join(line for line in known if line)
-    further = natural_search(sweep.scores, [assets.vehicles for assets in plan.assets])
+    further = natural_search(sweep.scores, plan.assets)
     sections: list[tuple[str, str, Callable[[], list[Block]]]] = [
         (
             "short",

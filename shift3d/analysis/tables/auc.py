@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import pandas as pd
 
@@ -16,13 +15,14 @@ from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores, differing_s
 from shift3d.detectors.names import FOREIGN, ONNX, OWN
 from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
+from shift3d.task.exchange import AssetsSpec
 from shift3d.wording import counted
 
 _DEFAULT_DETECTOR = "pointpillars"
 _FILES_OF: dict[str, str] = {
-    OWN: " detector.module=FILE.py",
-    ONNX: " detector.file=FILE.onnx attack.search={search}",
-    **dict.fromkeys(FOREIGN, " detector.weights=FILE detector.config=FILE"),
+    OWN: "detector.module=FILE.py",
+    ONNX: "detector.file=FILE.onnx attack.search={search}",
+    **dict.fromkeys(FOREIGN, "detector.weights=FILE detector.config=FILE"),
 }
 _VEHICLES = {("set", "wide"): "vehicle=wide"}
 
@@ -57,34 +57,37 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
     return Table(f"Natural adversarial shapes ({NATURAL_RULE})", header, lines)
 
 
-def natural_search(scores: pd.DataFrame, vehicles: Sequence[Mapping[str, Any]] = ()) -> str | None:
+def natural_search(scores: pd.DataFrame, assets: Sequence[AssetsSpec] = ()) -> str | None:
     """Return the command to search natural shapes if unbudgeted searches left unnatural ones.
 
-    scores: of ``final/``. vehicles: as for `input_words`.
+    scores: of ``final/``. assets: of the plan.
     """
     left = {task for task, natural in natural_by_task(scores).items() if not natural}
     rows = scores[scores["task_id"].isin(left) & ~scores["search"].str.contains("_within")]
     if rows.empty:
         return None
-    searched = [one for one in vehicles if one["kind"] != "deepsdf"]  # whose codes the sweep cannot search
-    inputs = input_words(set(rows["dataset"]), set(rows["detector"]), searched, search="random")
+    found = input_words(set(rows["dataset"]), set(rows["detector"]), assets, search="random")
+    inputs = found.partition(" vehicle=deepsdf")[0]  # whose codes the sweep cannot search
     return f"Hard shapes that stay vehicles: shift3d sweep natural{inputs}"
 
 
 def input_words(
-    datasets: set[str], detectors: set[str], vehicles: Sequence[Mapping[str, Any]] = (), search: str = "evolution"
+    datasets: set[str], detectors: set[str], assets: Sequence[AssetsSpec] = (), search: str = "evolution"
 ) -> str:
     """Return the words after a sweep's name that select the only recorded data set, detector and set of vehicles.
 
-    Streets, the default detector and the shipped vehicles need no word. Several data sets, detectors or sets get none.
-    vehicles: settings of each set, see `AssetsSpec`. search: of an ONNX file.
+    Streets, the default detector and shipped files need no word. Several data sets, detectors or sets get none.
+    assets: of the plan. search: of an ONNX file.
     """
     words = []
     if len(datasets) == 1 and not (dataset := next(iter(datasets))).startswith("street"):
         words.append(f"scenes={dataset} scenes.root=PATH")
-    if len(detectors) == 1 and (detector := next(iter(detectors))) != _DEFAULT_DETECTOR:
-        words.append(f"detector={detector}{_FILES_OF.get(detector, '').format(search=search)}")
-    sets = {(str(one["kind"]), one["folder"]) for one in vehicles}
+    for detector in detectors if len(detectors) == 1 else ():
+        given = detector not in (ONNX, *FOREIGN) and any(one.detectors.get(detector) for one in assets)
+        words += [f"detector={detector}"] if detector != _DEFAULT_DETECTOR else []
+        words += [_FILES_OF[detector].format(search=search)] if detector in _FILES_OF else []
+        words += ["detector.weights=FILE"] if given else []
+    sets = {(str(one.vehicles["kind"]), one.vehicles["folder"]) for one in assets}
     if len(sets) == 1 and (own := next(iter(sets)))[1] is not None:
         words.append(_VEHICLES.get(own, f"vehicle={own[0]} vehicle.folder=PATH") + " vehicle.name=NAME")
     return "".join(f" {word}" for word in words)

@@ -29,7 +29,7 @@ def sweep_report(sweep: Sweep) -> str:
         budget_table(parted),
         sensor_table(sweep.scores),
         natural_table(sweep.scores),
-        natural_search(sweep.scores, [assets.vehicles for assets in sweep.plan.assets]),
+        natural_search(sweep.scores, sweep.plan.assets),
         transfer_table(sweep.transfers),
         *choice_tables(sweep.choices),
         "\n".join(reasons(sweep.choices)),
@@ -65,7 +65,7 @@ def small_sweep_warning(plan: Plan) -> str | None:
     if not reasons:
         return None
     used = {dataset for dataset, _ in scenes}, {group.template.detector for group in groups}
-    chosen = input_words(*used, [assets.vehicles for assets in plan.assets])
+    chosen = input_words(*used, plan.assets)
     return f"A trial: these AUCs mean nothing, with {' and '.join(reasons)}. For meaningful AUCs: shift3d sweep{chosen}"
 
 
@@ -126,6 +126,12 @@ def coverage_lines(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int, s
     if len(left_out) > shown:
         lines.append(f"  and {counted(len(left_out) - shown, 'more machine')}")
     return lines
+
+
+def unscored_tasks(scores: pd.DataFrame, planned: int) -> str | None:
+    """Return a caveat if some of the planned tasks have no score, else None. scores: the table of ``final/``."""
+    scored = scores.loc[scores["score"].notna(), "task_id"].nunique()
+    return None if scored == planned else f"{planned - scored} of {counted(planned, 'task')} have no score"
 
 
 def missing_search_scenes(scores: pd.DataFrame, timings: pd.DataFrame) -> str:

@@ -11,7 +11,7 @@ import valid_sweeps
 
 from shift3d.analysis.html.report import report_page
 from shift3d.analysis.results import read_sweep
-from shift3d.analysis.tables.coverage import small_sweep_warning, unresponsive_detectors
+from shift3d.analysis.tables.coverage import small_sweep_warning, unresponsive_detectors, unscored_tasks
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
@@ -119,6 +119,12 @@ def test_the_list_of_tasks_says_what_no_column_tells() -> None:
     )
     one = make_plan(compose_sweep("default", words[:2]), valid_sweeps.catalogue)[0]
     assert not any("attack." in line or "descent" in line for line in plan_lines(one))
+
+
+def test_tasks_without_a_score_are_said_first() -> None:
+    scores = pd.DataFrame({"task_id": ["a", "a", "b"], "score": [0.5, 0.4, None]})
+    assert unscored_tasks(scores, 3) == "2 of 3 tasks have no score", "b found no place, the third was quarantined"
+    assert unscored_tasks(scores, 1) is None
 
 
 def test_a_sweep_with_scenes_and_steps_has_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,6 +27,7 @@ from shift3d.store.log_entries import read_log
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
+from shift3d.task.exchange import AssetsSpec
 
 
 def rows_of(scores: list[float], vehicle: str = "suv") -> pd.DataFrame:
@@ -122,10 +123,9 @@ def test_a_sweep_of_unnatural_shapes_names_the_one_that_finds_natural_ones() -> 
     assert logs is not None and logs.endswith("sweep natural scenes=argoverse2 scenes.root=PATH")
     own = natural_search(scores.assign(detector="own"))
     assert own is not None and own.endswith("sweep natural detector=own detector.module=FILE.py")
-    folder = {"kind": "set", "folder": "cars"}
-    cars = natural_search(scores, [folder, folder])
+    cars = natural_search(scores, [AssetsSpec({}, {"kind": "set", "folder": "cars"})] * 2)
     assert cars is not None and cars.endswith("sweep natural vehicle=set vehicle.folder=PATH vehicle.name=NAME")
-    instances = natural_search(scores, [{"kind": "deepsdf", "folder": "cars"}])
+    instances = natural_search(scores, [AssetsSpec({}, {"kind": "deepsdf", "folder": "cars"})])
     assert instances is not None and instances.endswith("sweep natural"), "its codes have no kinds"
     assert natural_search(scores.assign(natural=True)) is None
     assert natural_search(scores.assign(natural=None)) is None, "not measured"
@@ -262,11 +262,17 @@ def test_the_suggested_sweep_has_the_recorded_data_set_and_the_detector_of_this_
     assert input_words({"street-hdl64"}, {"pointpillars", "sst"}) == ""
     sets = {"cars": "vehicle=set vehicle.folder=PATH", "wide": "vehicle=wide"}
     for folder, words in sets.items():
-        found = input_words({"street-hdl64"}, default, [{"kind": "set", "folder": folder}])
+        found = input_words({"street-hdl64"}, default, [AssetsSpec({}, {"kind": "set", "folder": folder})])
         assert found == f" {words} vehicle.name=NAME"
-    shipped: dict[str, str | None] = {"kind": "set", "folder": None}
-    assert input_words({"street-hdl64"}, default, [shipped]) == ""
-    assert input_words({"street-hdl64"}, default, [shipped, {"kind": "set", "folder": "cars"}]) == ""
+    cars = AssetsSpec({}, {"kind": "set", "folder": "cars"})
+    assert input_words({"street-hdl64"}, default, [AssetsSpec({})]) == ""
+    assert input_words({"street-hdl64"}, default, [AssetsSpec({}), cars]) == ""
+    weights = [AssetsSpec({}, detectors=dict.fromkeys(get_args(DetectorName), "new.pt"))]
+    assert input_words({"street-hdl64"}, default, weights) == " detector.weights=FILE"
+    named = " detector=own detector.module=FILE.py detector.weights=FILE"
+    assert input_words({"street-hdl64"}, {"own"}, weights) == named
+    for name in get_args(DetectorName):
+        assert input_words({"street-hdl64"}, {name}, weights).count("weights=") == (name != "onnx")
     for name in get_args(DetectorName):
         needs = {"own": "module", "onnx": "file", "openpcdet": "config", "mmdet3d": "config"}.get(name, "")
         assert f"detector.{needs}" in input_words({"street-hdl64"}, {name}) or not needs
