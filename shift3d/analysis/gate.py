@@ -124,7 +124,10 @@ def _check(suite: FrozenSuite, scorer: Scorer, rule: ReleaseRule) -> None:
     scenes = places_of(suite.objects).nunique()
     if least_p_value(scenes) > rule.level:
         what = f"has objects of {counted(scenes, 'scene')}: no loss can be significant at level={rule.level:g}"
-        remedy = "Freeze a suite of a sweep over more scenes (scenes.count=); frames of one segment or log count once"
+        remedy = (
+            "Freeze a suite of a sweep over more scenes (scenes.count=); frames of one segment or log count once. The "
+            f"least level for these scenes is {least_p_value(scenes):g}"
+        )
         raise InputError(what, str(suite.folder), remedy)
     for precision in suite.objects["precision"].unique():
         scorer.at(precision)

@@ -100,7 +100,9 @@ class Comparison:
         else:
             shown = f"the gate would find a loss of {100 * least:.1f} points of recall in 90 % of releases"
             shown += " if objects were independent; objects of one scene are not"
-        return f"No loss found against {against}: {counts}. With {counted(number, 'hard object')}, {shown}."
+        tolerated = any(m.p_value <= self.rule.level and m.change.mean < 0 for m in self.measures)
+        loss = f"loss of {self.rule.tolerance:g} or more" if tolerated else "loss"
+        return f"No {loss} found against {against}: {counts}. With {counted(number, 'hard object')}, {shown}."
 
 
 def compare(

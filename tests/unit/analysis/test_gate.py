@@ -233,10 +233,19 @@ def test_a_release_of_another_suite_is_refused(folder: Path) -> None:
 
 def test_a_suite_of_too_few_scenes_gives_no_verdict(tmp_path: Path) -> None:
     write_suite(tmp_path / "suite", scenes=4, scored_by="own")
-    with pytest.raises(InputError, match="4 scenes: no loss can be significant"):
+    with pytest.raises(InputError, match=r"4 scenes: no loss can be significant.* least level .* is 0\.0625"):
         gate(tmp_path, -2.0)
     write_suite(tmp_path / "suite", scenes=5, scored_by="own")
     assert gate(tmp_path, -9.0).exit_code == ExitCode.WORSE
+
+
+def test_a_significant_loss_below_the_tolerance_is_not_called_no_loss(folder: Path) -> None:
+    objects = read_suite(folder / "suite").objects
+    before, after = (dict.fromkeys(objects["object_id"], score) for score in (0.8, 0.79))
+    found = compare(objects, before, after, ReleaseRule(tolerance=0.05))
+    assert not found.worse and found.sentence("release 1").startswith("No loss of 0.05 or more found against release 1")
+    same = compare(objects, before, before, ReleaseRule(tolerance=0.05))
+    assert same.sentence("release 1").startswith("No loss found against release 1")
 
 
 def test_the_comparison_does_not_depend_on_the_objects_order(folder: Path) -> None:
