@@ -82,6 +82,15 @@ def check_decoders(plan: Plan, pool: Plan, where: str) -> None:
         )
 
 
+def other_detector(plan: Plan, pool: Plan) -> str | None:
+    """Return a note if the pool's detector is not one that the sweep attacked, else None. plan: of the sweep."""
+    ours, theirs = ({group.template.detector for group in one.tasks.groups()} for one in (plan, pool))
+    if theirs <= ours:
+        return None
+    one, other = (",".join(sorted(names)) for names in (theirs, ours))
+    return f"{one} scores the vehicles in the log; the sweep attacked {other}: give detector={other}"
+
+
 def _pool_bytes(pool: Location) -> bytes:
     path = pool / "final" / f"{_POOL}.parquet"
     if not path.is_file():

@@ -8,12 +8,17 @@ from typing import Any
 import pytest
 import valid_sweeps
 
+from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema.config import LocalRunnerConfig
 from shift3d.store.log_entries import read_log
 from shift3d.sweep import retrieval
+from shift3d.sweep.planning.plan import make_plan
 from shift3d.sweep.results.final import write_final
 
 LOCAL = LocalRunnerConfig(kind="local", commit_seconds=0.0, abort_after=None, abort_share=None)
+
+
+ONE = ["vehicle=suv", "mode=shape"]
 
 
 def made_by(pool: Path) -> bytes:
@@ -44,3 +49,11 @@ def test_kin_of_the_pool_before_are_not_left_beside_another_pool(
         with pytest.raises(KeyboardInterrupt):
             retrieval.retrieve(folder, pool, LOCAL)
         assert kept.read_bytes() == pool.name.encode() and kin.is_file() == kin_stay
+
+
+def test_a_pool_of_another_detector_than_the_attacked_one_is_said() -> None:
+    plans = [make_plan(compose_sweep("smoke", [*ONE, f"detector={name}"]), valid_sweeps.catalogue)[0]
+             for name in ("sst", "pointpillars")]  # fmt: skip
+    note = retrieval.other_detector(*plans)
+    assert note == "pointpillars scores the vehicles in the log; the sweep attacked sst: give detector=sst"
+    assert retrieval.other_detector(plans[0], plans[0]) is None

@@ -60,7 +60,8 @@ def kin_curves(rows: pd.DataFrame, controls: pd.DataFrame) -> Plot:
     found = [RecallCurve(name, rows[column], rows["place"], colour) for column, (name, colour) in _CURVES.items()]
     found.append(RecallCurve("controls", controls["score"], places_of(controls), COLOURS["random_budget"], "dash"))
     label = f"Threshold-recall of {counted(len(rows), 'solution')} and their natural kin at the same place"
-    return recall_plot("curve-retrieval", found, label, f"{label}; bands resample only the solutions' scenes")
+    caption = f"{label}; each control counts once, in the table each solution; bands resample the solutions' scenes"
+    return recall_plot("curve-retrieval", found, label, caption)
 
 
 def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: PageCache) -> Picture:

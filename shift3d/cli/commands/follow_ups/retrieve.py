@@ -45,7 +45,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.sweep.follow_up import solved_tasks
     from shift3d.sweep.planning.folder import default_folder
     from shift3d.sweep.planning.plan import make_plan
-    from shift3d.sweep.retrieval import build_pool, check_decoders, pool_plan, retrieve
+    from shift3d.sweep.retrieval import build_pool, check_decoders, other_detector, pool_plan, retrieve
 
     configure_runtime()
     folder = as_location(arguments.out)
@@ -58,6 +58,8 @@ def _run(arguments: argparse.Namespace) -> int:
     plan = pool_plan(made)
     pool = named[-1] if named else default_folder(plan)
     check_decoders(sweep, plan, str(pool))
+    if note := other_detector(sweep, plan):
+        print(note)
     print(f"fitting the labelled vehicles of {counted(len(plan.tasks), 'scene')} into {pool}", flush=True)
     before = received_signals()
     fitted = build_pool(pool, plan, config.runner)
