@@ -178,11 +178,11 @@ def _checked(request: FinetuneArguments) -> tuple[Config, str]:
     catalogue, plans, config = shift3d_kind().catalogue, [], None
     for name in _SWEEPS:
         composed = compose_sweep(name, request.overrides_of(name))
-        if len({(c.detector.name, c.detector.own_weights) for c in expand(composed)}) > 1:
-            raise InputError("several detectors are attacked", where=f"sweep {name}", remedy="Give detector= one value")
         if (detector := composed.base["detector"]["name"]) not in DETECTOR_NAMES:
             remedy = f"Give one of {', '.join(DETECTOR_NAMES)}"
             raise InputError(f"there is no training of {detector}", where=f"sweep {name}", remedy=remedy)
+        if len({(c.detector.name, c.detector.own_weights) for c in expand(composed)}) > 1:
+            raise InputError("several detectors are attacked", where=f"sweep {name}", remedy="Give detector= one value")
         tuning_recipe(detector, 1, TrainOptions(Path(), recipe={"peak_rate": request.rate} if request.rate else {}))
         plan, own = make_plan(composed, catalogue)
         plans.append(plan)
