@@ -12,6 +12,7 @@ import torch
 
 from shift3d.detectors.base import Detector
 from shift3d.detectors.loading import detector_of
+from shift3d.errors import InputError
 from shift3d.settings.catalogue.detector_files import detector_hash
 from shift3d.store.location import Location
 from shift3d.suite.frozen import FrozenSuite, box_of
@@ -82,5 +83,9 @@ def _answers(opened: tuple[FrozenSuite, Scorer], name: str) -> list[dict[str, st
     for row in suite.objects[suite.objects["background"] == name].to_dict("records"):
         points, detectors = suite.points_of(row, background), {scorer.name: scorer.at(row["precision"])}
         place = torch.from_numpy(points), box_of(row), row["ground_z_m"], row["radius_m"]
-        found.append({"object_id": row["object_id"], "score": score_box(*place, detectors)[scorer.name].score})
+        try:
+            found.append({"object_id": row["object_id"], "score": score_box(*place, detectors)[scorer.name].score})
+        except InputError as error:  # of a user's detector
+            what = f"{error.what}, at object {row['object_id'][:12]} in scene {row['scene']}"
+            raise InputError(what, error.where, error.remedy) from error
     return found
