@@ -1,6 +1,6 @@
 """Training of a decoder on vehicles from mesh files, and the resulting vehicle set.
 
-Meshes are read, repaired and sampled once, and the samples are cached in a file.
+Meshes are read, repaired and sampled once, and the samples of each mesh are cached in a file.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
+from shift3d.progress_bar import progress_bar
 from shift3d.sdf.decoder import Decoder
 from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.atomic import write_atomic
-from shift3d.store.user_cache import program_digest
+from shift3d.store.user_cache import digest_of, program_digest
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, restore_subnormals
 from shift3d.training.processes import each
@@ -58,10 +58,11 @@ class MeshShapes:
 
 
 def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cache: Path, processes: int) -> MeshShapes:
-    """Sample the meshes at a path, or read the samples from `cache` (a folder) if it holds the same ones.
+    """Sample the meshes at a path; a mesh that `cache` (a folder) holds is not sampled again.
 
-    Samples of another program version are not reused. An unusable mesh is left out, and the reason is printed once. The
-    samples of a shape are in random order, so that consecutive slices are fair batches.
+    `cache` has a file for every mesh, so a killed call resumes. Samples of another program version are not reused. An
+    unusable mesh is left out, and the reason is printed once. The samples of a shape are in random order, so that
+    consecutive slices are fair batches.
     Raises: InputError when there are no meshes at the path, or none that can be used.
     """
     files = find_meshes(path)
@@ -70,46 +71,44 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
         [_VERSION, asdict(frame), samples, seed, [[f.name, h] for f, h in zip(files, hashes)]], sort_keys=True
     )
     source = "meshes-" + hashlib.blake2b(request.encode(), digest_size=8).hexdigest()
-    kept = cache / f"{source}-{program_digest(*_CODE)[:16]}.npz"
-    if not kept.is_file():
-        tasks = [(file, frame, samples, seed) for file in files]
-        work = each(_sampled, tasks, processes)
-        parts = list(tqdm(work, total=len(tasks), desc="sampling meshes", mininterval=5.0))
-        _keep(kept, parts, files, hashes)
-    with read_arrays(kept) as data:
-        facts = json.loads(str(data["facts"]))
-        arrays = ShapeSamples(data["points"], data["distances"], data["scale_m"], source)
-    places = {file.name: str(file.path) for file in files}  # the folder may have moved since
-    shapes = [{**shape, "file": places[shape["name"]]} for shape in facts["shapes"]]
-    refused = {places[name]: f"{places[name]}: {why}" for name, why in facts["refused"].items()}
-    return MeshShapes(arrays, shapes, refused)
+    made_with = frame, samples, seed, program_digest(*_CODE)
+    kept = [cache / f"{digest_of(f.name, h, *made_with)}.npz" for f, h in zip(files, hashes)]
+    missing = [(file, place) for file, place in zip(files, kept) if not place.is_file()]
+    work = each(partial(_sample, frame, samples, seed), missing, processes)
+    shown = {"total": len(files), "initial": len(files) - len(missing), "disable": not missing}
+    with progress_bar(work, desc="sampling meshes", unit="mesh", **shown) as bar:
+        for why in bar:
+            if why:
+                bar.write(f"left out: {why}")
+    shapes, refused, parts = [], dict[str, str](), []
+    for file, digest, place in zip(files, hashes, kept):
+        with read_arrays(place) as data:
+            facts = json.loads(str(data["facts"]))
+            if why := facts.get("refused"):
+                refused[str(file.path)] = f"{file.path}: {why}"
+                continue
+            parts.append((data["points"], data["distances"], data["scale_m"]))
+        shapes.append({**facts, "file": str(file.path), "sha256": digest})  # the folder may have moved since
+    if not parts:
+        what = f"none of {len(files)} meshes can be used, the first: {next(iter(refused.values()))}"
+        raise InputError(what, where=str(path))
+    points, distances, scale_m = (np.array(values) for values in zip(*parts, strict=True))
+    return MeshShapes(ShapeSamples(points, distances, scale_m, source), shapes, refused)
 
 
-_Part = tuple[NDArray[np.float32], NDArray[np.float32], float, dict[str, Any]]
-
-
-def _sampled(task: tuple[MeshFile, MeshFrame, int, int]) -> _Part | str:
-    file, frame, samples, seed = task
+def _sample(frame: MeshFrame, samples: int, seed: int, missing: tuple[MeshFile, Path]) -> str:
+    """Write the samples of a mesh, or the reason why it cannot be used, to a file. Returns the reason, or ""."""
+    file, place = missing
     try:
         vehicle = read_mesh_vehicle(file, frame)
     except InputError as error:
+        why = str(error).removeprefix(f"{file.path}: ")
+        write_arrays(place, facts=np.array(json.dumps({"refused": why})))
         return str(error)
-    return (*sample_shuffled(vehicle.mesh, samples, "mesh", seed, vehicle.name), vehicle.facts())
-
-
-def _keep(kept: Path, parts: list[_Part | str], files: list[MeshFile], hashes: list[str]) -> None:
-    left_out = [(file, part) for file, part in zip(files, parts) if isinstance(part, str)]
-    for _, reason in left_out:
-        print(f"left out: {reason}")
-    refused = {file.name: reason.removeprefix(f"{file.path}: ") for file, reason in left_out}
-    used = [(part, digest) for part, digest in zip(parts, hashes) if not isinstance(part, str)]
-    if not used:
-        what = f"none of {len(files)} meshes can be used, the first: {left_out[0][1]}"
-        raise InputError(what, where=str(kept.parent))
-    shapes = [{**part[3], "sha256": digest} for part, digest in used]
-    points, distances, scale_m = (np.array(values) for values in zip(*(part[:3] for part, _ in used), strict=True))
-    facts = np.array(json.dumps({"shapes": shapes, "refused": refused}))
-    write_arrays(kept, points=points, distances=distances, scale_m=scale_m, facts=facts)
+    points, distances, scale_m = sample_shuffled(vehicle.mesh, samples, "mesh", seed, vehicle.name)
+    facts = np.array(json.dumps(vehicle.facts()))
+    write_arrays(place, points=points, distances=distances, scale_m=scale_m, facts=facts)
+    return ""
 
 
 def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
@@ -174,11 +173,11 @@ def export_mesh_training(checkpoint: Path, shapes: MeshShapes, frame: MeshFrame,
     vehicles, known, refused = [], [], dict(shapes.refused)
     rows = list(zip(shapes.facts, codes, shapes.samples.scale_m, strict=True))
     measured = each(partial(_measured, frame, out / PICTURES), rows, processes, partial(_decoder, checkpoint))
-    with tqdm(measured, total=len(rows), desc="measuring vehicles", mininterval=5.0) as bar:
+    with progress_bar(measured, total=len(rows), desc="measuring vehicles", unit="vehicle") as bar:
         for (facts, _, _), done in zip(rows, bar, strict=True):
             if isinstance(done, str):
                 refused[facts["file"]] = done
-                tqdm.write(f"left out: {facts['name']}: {done}")
+                bar.write(f"left out: {facts['name']}: {done}")
                 continue
             vehicles.append(done)
             known.append({**facts, "chamfer_cm": round(100.0 * done.chamfer_m, 3)})

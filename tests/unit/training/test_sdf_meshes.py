@@ -20,6 +20,7 @@ from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.sdf.on_meshes import MeshShapes, export_mesh_training, is_exported, mesh_recipe, mesh_shapes
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
+from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.vehicle_set import FittedVehicle, write_vehicle_set
 
@@ -93,6 +94,36 @@ def test_samples_are_kept_until_a_mesh_or_the_seed_changes(
     assert len(set(sources)) == 3
 
 
+def test_killed_sampling_resumes_and_a_new_mesh_is_sampled_alone(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The samples are those of an uninterrupted call."""
+    mine, begun = shutil.copytree(folder, tmp_path / "meshes"), []
+
+    def read(file: MeshFile, frame: MeshFrame) -> MeshVehicle:
+        begun.append(file.name)
+        if stop == file.name:
+            raise KeyboardInterrupt
+        return read_mesh_vehicle(file, frame)
+
+    monkeypatch.setattr("shift3d.training.sdf.on_meshes.read_mesh_vehicle", read)
+    stop = "suv_box"
+    with pytest.raises(KeyboardInterrupt):
+        sampled(mine)
+    stop = ""
+    resumed = sampled(mine)
+    assert begun == ["egg", "sheet", "suv_box", "suv_box"]
+    assert np.array_equal(resumed.samples.points, sampled(folder).samples.points)
+    assert resumed.refused.keys() == {str(mine / "sheet.ply")}
+    begun.clear()
+    trimesh.creation.box((4.2, 1.8, 1.4)).export(mine / "van.ply")
+    (mine / "egg.stl").unlink()
+    grown = sampled(mine)
+    assert begun == ["van"]
+    assert [facts["name"] for facts in grown.facts] == ["suv_box", "van"]
+    assert np.array_equal(grown.samples.points[0], resumed.samples.points[1])
+
+
 def test_samples_of_another_program_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trimesh.creation.box((4.0, 1.8, 1.4)).export(tmp_path / "box.ply")
 
@@ -102,7 +133,7 @@ def test_samples_of_another_program_are_made_again(tmp_path: Path, monkeypatch: 
     first = points()
     (kept,) = tmp_path.glob("*.npz")
     with np.load(kept) as data:
-        write_arrays(kept, **{**data, "points": first + 1.0})
+        write_arrays(kept, **{**data, "points": first[0] + 1.0})
     assert np.array_equal(points(), first + 1.0)
     read, part = Path.read_bytes, "/vehicles/repair.py"
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(part))
