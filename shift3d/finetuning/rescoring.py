@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pyarrow as pa
-from tqdm import tqdm
 
 from shift3d.detectors.base import Detector
 from shift3d.detectors.loading import detector_of
 from shift3d.finetuning.objects import SweepObject, refuse_other_weights, scored_objects
+from shift3d.progress_bar import progress_bar
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import schema_of_columns
@@ -47,7 +47,7 @@ def rescore_objects(folder: LocationLike, detector: str, weights: Path) -> pa.Ta
     refuse_tuned_scenes(weights, found.scenes)
     scores = []
     judges: dict[str, Detector] = {}
-    for row in tqdm(found.objects, desc=f"objects scored by {weights.parent.name}", mininterval=5.0):
+    for row in progress_bar(found.objects, desc=f"objects scored by {weights.parent.name}", unit="object"):
         assets, precision = found.assets_of(row), score_precision(row.spec)
         if precision not in judges:
             judges[precision] = detector_of(detector, weights, None, precision)  # type: ignore[arg-type]

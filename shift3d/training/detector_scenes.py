@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.progress_bar import progress_bar
 from shift3d.scenes.scene import Scene
 from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.user_cache import program_digest
@@ -111,7 +111,7 @@ def cache_scenes(
     folder.mkdir(parents=True, exist_ok=True)
     files = {name: folder / f"{name.replace('/', '_')}.npz" for name in names}
     missing = {name: file for name, file in files.items() if not file.exists()}
-    bar = tqdm(total=len(missing), desc=title, mininterval=5.0, disable=title is None or not missing)
+    bar = progress_bar(total=len(missing), desc=title, unit="scene", disable=title is None or not missing)
     with bar:
         for _ in each(partial(_cache, build), list(missing.items()), workers):
             bar.update()

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from shift3d.progress_bar import progress_bar
 from shift3d.sdf.samples import bounding_scale, sample_sdf
 from shift3d.seeding import generator
 from shift3d.store.arrays import read_arrays, write_arrays
@@ -57,7 +57,7 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
     if not file.is_file():
         tasks = [(spec, samples, seed, index) for index, spec in enumerate(family(shapes, seed))]
         work = each(_sampled, tasks, processes)
-        parts = list(tqdm(work, total=shapes, desc="sampling shapes", mininterval=5.0))
+        parts = list(progress_bar(work, total=shapes, desc="sampling shapes", unit="shape"))
         points, distances, scale_m = (np.array(values) for values in zip(*parts, strict=True))
         write_arrays(file, points=points, distances=distances, scale_m=scale_m)
     with read_arrays(file) as data:

@@ -11,11 +11,11 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from tqdm import tqdm
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import ONE_THREAD, Compute
 from shift3d.training.detector.batches import BatchMaker, Example, batches
@@ -157,7 +157,7 @@ def train_on_scenes(
     database = VehicleDatabase.of(mesh_scenes, recipe.min_points, compute.scene_workers) if pasting else None
     crops = draw(recipe, run.net.grid, mesh_scenes, inserted_scenes, database)
     maker = BatchMaker(crops, run.objective, run.net)
-    bar = tqdm(initial=run.done, total=recipe.all_steps, desc=recipe.detector, mininterval=5.0)
+    bar = progress_bar(initial=run.done, total=recipe.all_steps, desc=recipe.detector, unit="step")
     with stop_on_signal() as stop, bar:
         for step, examples in batches(maker, range(run.done, end), compute.crop_workers):
             if step >= recipe.steps:
@@ -173,7 +173,7 @@ def train_on_scenes(
                 run.save(report)
                 last = run.curve[-1][1] if run.curve else {}
                 shown = "  ".join(f"{name} {value:.3g}" for name, value in last.items())
-                tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
+                bar.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
             if stop.is_set() and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
     if run.done == recipe.steps == recipe.all_steps:  # no settle steps: only the statistics are computed

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.sdf.decoder import Decoder
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute
@@ -113,7 +113,7 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
         run.restore(read_checkpoint(file), str(file))
     steps: int = run.recipe.steps
     curve: list[CurvePoint] = []
-    bar = tqdm(total=steps, initial=run.step, desc="training sdf", mininterval=10.0)
+    bar = progress_bar(total=steps, initial=run.step, desc="training sdf", unit="step")
     with stop_on_signal() as stop, bar:
         while run.step < steps:
             run.recent.append(run.advance())
@@ -130,7 +130,7 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
             if run.step % every == 0 or run.step == steps or stop.is_set():
                 write_checkpoint(file, run.state())
                 loss = run.losses[-1] if run.losses else None
-                tqdm.write(f"step {run.step} of {steps}  loss {loss}  ({file.name} written)")
+                bar.write(f"step {run.step} of {steps}  loss {loss}  ({file.name} written)")
                 if report is not None and curve:
                     report(curve)
                 curve = []

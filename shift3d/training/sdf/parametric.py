@@ -16,9 +16,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from tqdm import tqdm
 
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.sdf.decoder import Architecture, Decoder, load_decoder
 from shift3d.sdf.deepsdf_network import parameters_of
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
@@ -152,7 +152,8 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
     basis, codes = basis * factor, codes * factor
     decoder.folded().eval().requires_grad_(False).with_code_scale(float(factor))
     vehicles, boxes = [], {}
-    for kind, members in tqdm(members_by_kind(shapes.specs).items(), desc="measuring vehicles", mininterval=5.0):
+    kinds = members_by_kind(shapes.specs).items()
+    for kind, members in progress_bar(kinds, desc="measuring vehicles", unit="vehicle"):
         index = _typical(shapes.features[members], members)
         spec, frame = shapes.specs[index], shapes.frames[kind]
         mesh = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M))

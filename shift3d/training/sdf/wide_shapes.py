@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from shift3d.progress_bar import progress_bar
 from shift3d.sdf.samples import SPHERE_MARGIN, sample_sdf_within
 from shift3d.seeding import generator
 from shift3d.store.arrays import read_arrays, write_arrays
@@ -85,7 +85,7 @@ def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int
     missing = {file: some for file, some in chunks.items() if not file.is_file()}
     work = each(_sampled, [task for some in missing.values() for task in some], processes)
     parts = []
-    with tqdm(total=count, desc="sampling vehicles", mininterval=5.0) as bar:
+    with progress_bar(total=count, desc="sampling vehicles", unit="vehicle") as bar:
         for file, some in chunks.items():
             if file in missing:
                 points, distances = (np.stack(arrays) for arrays in zip(*islice(work, len(some)), strict=True))
