@@ -38,7 +38,7 @@ from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
 from shift3d.store.user_cache import program_digest
 from shift3d.training.detector.detect_scenes import SCORE_FLOOR, SceneDetections, detect_scenes, stored_or_detected
-from shift3d.training.provenance import refuse_tuned_scenes
+from shift3d.training.provenance import refuse_tuned_scenes, trained_frames
 from shift3d.wording import counted
 
 _CODE = (
@@ -140,14 +140,21 @@ def evaluate_detector(
     open_scenes = partial(scene_set, scenes)
     opened_scenes = open_scenes()
     scene_names = opened_scenes.names()
+    seen: list[str] = []
     if file and name not in (OWN, ONNX):  # files beside own and ONNX weights belong to the user
-        refuse_tuned_scenes(file, [(opened_scenes.dataset, scene, "") for scene in scene_names])
+        measured = [(opened_scenes.dataset, scene, "") for scene in scene_names]
+        refuse_tuned_scenes(file, measured)
+        seen = trained_frames(file, measured)
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, open_scenes, workers, score_threshold)
     found = stored_or_detected(scene_names, out / "scenes", detect, partial(_state, opened_scenes, name))
     label = f"{name}, {counted(workers, 'worker')}"
     answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
-    return write_evaluation(name, dataset_of(scenes), answers, out)
+    text = write_evaluation(name, dataset_of(scenes), answers, out)
+    if not seen:
+        return text
+    of = f"{len(seen)} of these {counted(len(scene_names), 'scene')}"
+    return f"{text}\nwarning: {file} was trained on {of}; on other scenes expect a lower AP"
 
 
 def _state(scenes: SceneSet, detector: str, name: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,14 @@ def read_provenance(weights_file: Path) -> dict[str, Any] | None:
     return facts
 
 
+def _history(weights_file: Path) -> Iterator[dict[str, Any]]:
+    """Yield the facts of weights, then those of the weights that they started from, and so on."""
+    facts = read_provenance(weights_file)
+    while facts:
+        yield facts
+        facts = facts.get("before")
+
+
 def shared_scenes(seen: Collection[tuple[str, str, str]], measured: Collection[tuple[str, str, str]]) -> list[str]:
     """Return the measured scenes' names that agree with a seen scene in data set and name, in content, or in street.
 
@@ -77,12 +85,20 @@ def refuse_tuned_scenes(weights_file: Path, scenes: Collection[tuple[str, str, s
     Raises: InputError naming the scenes, or a provenance file that cannot be read.
     """
     tuned: set[tuple[str, str, str]] = set()
-    facts = read_provenance(weights_file)
-    while facts:
+    for facts in _history(weights_file):
         found = (facts.get("finetuned_on") or {}).get("scenes", [])
         # Older provenance files hold a dict of hashes by name.
         tuned.update([("", *scene) for scene in found.items()] if isinstance(found, dict) else map(tuple, found))
-        facts = facts.get("before")
     if both := shared_scenes(tuned, scenes):
         what = f"was fine-tuned on {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"
         raise InputError(what, where=str(weights_file), remedy="Measure it on scenes that it has not seen")
+
+
+def trained_frames(weights_file: Path, scenes: Collection[tuple[str, str, str]]) -> list[str]:
+    """Return the names of the measured scenes on which weights, or the weights they started from, were trained.
+
+    scenes: as in `shared_scenes`. Raises: InputError naming a provenance file that cannot be read.
+    """
+    made_on = [facts["scenes"] for facts in _history(weights_file) if isinstance(facts.get("scenes"), dict)]
+    seen = [(str(data.get("dataset", "")), name, "") for data in made_on for name in data.get("names", [])]
+    return shared_scenes(seen, scenes)

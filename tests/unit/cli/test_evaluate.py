@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from onnx_files import BOXES, OWN_SOURCE, write_model
 
 from shift3d.cli.commands.detectors.evaluate import COMMAND
 from shift3d.cli.main import main
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.scenes.sets import StreetScenes
+from shift3d.training.provenance import write_provenance
 
 
 @pytest.mark.parametrize(
@@ -139,6 +142,7 @@ def test_one_real_frame_and_the_same_command_again(
     assert main(words) == 0
     printed = capsys.readouterr().out
     assert "pointpillars on kitti: 1 scene," in printed and "moderate" in printed
+    assert "was trained on" not in printed
     metrics = pd.read_parquet(out / "metrics.parquet")
     assert set(metrics["protocol"]) == {"waymo", "waymo_strict", "kitti", "shift3d"}
     assert metrics["value"].dropna().between(0.0, 1.0).all() and metrics["value"].notna().any()
@@ -148,3 +152,7 @@ def test_one_real_frame_and_the_same_command_again(
     assert json.loads(before["spec.json"])["detector"] == "pointpillars"
     assert main([*words, "score_threshold=0.2"]) == 2
     assert "holds another evaluation" in capsys.readouterr().err
+    own = Path(shutil.copy(WEIGHTS_FOLDER / "pointpillars.safetensors", tmp_path / "own.safetensors"))
+    write_provenance(own, {"scenes": {"dataset": "kitti", "count": 1, "names": [name]}})
+    assert main([*words[:-1], f"weights={own}", f"out={tmp_path / 'other'}"]) == 0
+    assert f"warning: {own} was trained on 1 of these 1 scene" in capsys.readouterr().out

@@ -15,7 +15,7 @@ from shift3d.finetuning.objects import SweepObject, SweepObjects
 from shift3d.finetuning.tune import natural_scenes
 from shift3d.task.spec import TaskSpec
 from shift3d.training.detector_scenes import load_cached
-from shift3d.training.provenance import refuse_tuned_scenes, shared_scenes, write_provenance
+from shift3d.training.provenance import refuse_tuned_scenes, shared_scenes, trained_frames, write_provenance
 
 NAME = "000000"
 
@@ -97,6 +97,16 @@ def test_weights_are_refused_on_what_they_were_tuned_on(tmp_path: Path, scenes: 
     refuse_tuned_scenes(tmp_path / "w.safetensors", [("kitti", "000001", "")])
     with pytest.raises(InputError, match=f"was fine-tuned on {NAME}"):
         refuse_tuned_scenes(tmp_path / "w.safetensors", [("kitti", NAME, "")])
+
+
+def test_frames_that_weights_were_trained_on_are_known(tmp_path: Path) -> None:
+    """Streets have no names in a provenance; frames of the weights at the start count."""
+    frames = {"scenes": {"dataset": "kitti", "count": 1, "names": [NAME]}, "before": {"scenes": {"count": 400}}}
+    measured = [("kitti", NAME, ""), ("kitti", "000001", ""), ("openpcdet", NAME, "")]
+    for facts, known in ((frames, [NAME]), ({"before": frames}, [NAME]), ({}, [])):
+        write_provenance(tmp_path / "w.safetensors", facts)
+        assert trained_frames(tmp_path / "w.safetensors", measured) == known
+    assert trained_frames(tmp_path / "none.safetensors", measured) == []
 
 
 def test_one_scene_keeps_its_name(tmp_path: Path) -> None:
