@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import json
 import shutil
 from pathlib import Path
 
@@ -13,12 +14,21 @@ import pytest
 import torch
 import trimesh
 
+from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder
 from shift3d.store.arrays import write_arrays
 from shift3d.store.user_cache import program_digest, source_digest
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.sdf.on_meshes import MeshShapes, export_mesh_training, is_exported, mesh_recipe, mesh_shapes
+from shift3d.training.sdf.on_meshes import (
+    SAMPLES_A_SHAPE,
+    SEED,
+    MeshShapes,
+    export_mesh_training,
+    is_exported,
+    mesh_recipe,
+    mesh_shapes,
+)
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
 from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
@@ -190,3 +200,23 @@ def test_a_vehicle_set_of_this_training_is_not_made_again(shapes: MeshShapes, tm
     write_vehicle_set(tmp_path, Decoder(), [egg], made)
     (tmp_path / "vehicles.safetensors").unlink()
     assert not is_exported(checkpoint, tmp_path), "the vehicles are written last"
+
+
+def test_the_median_printed_is_that_of_the_vehicle_set(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shapes = mesh_shapes(folder, FRAME, SAMPLES_A_SHAPE, SEED, tmp_path / "shapes", 1)
+    recipe = mesh_recipe(shapes, steps=1)
+    train_sdf(tmp_path, recipe, samples=shapes.samples)
+    apart_cm = {"egg": 1.0, "suv_box": 2.0}
+    fitted = [
+        FittedVehicle(name, "vehicle", (0.0,) * 256, 2.0, ((-1.0,) * 3, (1.0,) * 3), 1, chamfer_cm / 100)
+        for name, chamfer_cm in apart_cm.items()
+    ]
+    rows = [{"name": name, "chamfer_cm": chamfer_cm} for name, chamfer_cm in apart_cm.items()]
+    facts = {"recipe": dataclasses.asdict(recipe), "step": 1, "vehicles": rows}
+    write_vehicle_set(tmp_path, Decoder(), fitted, facts)
+    words = ["model=sdf", f"vehicles={folder}", "unit=m", "forward=+x", "up=+z", "steps=1", "threads=1", "mlflow=none"]
+    assert main(["train", *words, f"out={tmp_path}"]) == 0
+    assert json.loads((tmp_path / "sdf.json").read_text())["chamfer_median_cm"] == 1.5
+    assert "median 1.50 cm, worst 2.00 cm" in capsys.readouterr().out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import statistics
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -199,16 +200,15 @@ def _train_on_meshes(values: dict[str, str]) -> int:
         if frame is None:
             from shift3d.training.sdf.parametric import train_wide_family
 
-            chamfer_cm = sorted(train_wide_family(options.out, options.compute(), options.count, options.steps, report))
+            chamfer_cm = train_wide_family(options.out, options.compute(), options.count, options.steps, report)
         else:
             from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
 
             steps = options.steps or STEPS
-            found = train_on_meshes(values["vehicles"], frame, options.out, options.compute(), steps, report)
-            chamfer_cm = sorted(found)
+            chamfer_cm = train_on_meshes(values["vehicles"], frame, options.out, options.compute(), steps, report)
     print(
         f"{counted(len(chamfer_cm), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
-        f"to the meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
+        f"to the meshes: median {statistics.median(chamfer_cm):.2f} cm, worst {max(chamfer_cm):.2f} cm"
     )
     return 0
 
