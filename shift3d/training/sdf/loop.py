@@ -92,8 +92,12 @@ class DecoderRun(ABC):
 
     def restore(self, state: Mapping[str, Any], where: str) -> None:
         """Continue from a checkpoint of the same recipe. Raises InputError for another recipe."""
-        if state["recipe"] != asdict(self.recipe):
-            raise InputError("checkpoint of another recipe", where=where, remedy="Give another out=, or delete it")
+        ours, theirs = asdict(self.recipe), state["recipe"]
+        names = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
+        if names:
+            other = [f"{name}={theirs.get(name)}, not {ours.get(name)}" for name in names]
+            what = f"checkpoint of another recipe ({'; '.join(other)})"
+            raise InputError(what, where=where, remedy="Give another out=, or delete it")
         self.decoder.load_state_dict(state["decoder"])
         with torch.no_grad():
             self.table.copy_(state[self.table_name])
@@ -129,8 +133,8 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
                 bar.set_postfix(loss=f"{run.losses[-1]:.5f}", refresh=False)
             if run.step % every == 0 or run.step == steps or stop.is_set():
                 write_checkpoint(file, run.state())
-                loss = run.losses[-1] if run.losses else None
-                bar.write(f"step {run.step} of {steps}  loss {loss}  ({file.name} written)")
+                loss = float(np.mean(run.recent)) if run.recent else run.losses[-1]
+                bar.write(f"step {run.step} of {steps}  loss {loss:.5f}  ({file.name} written)")
                 if report is not None and curve:
                     report(curve)
                 curve = []

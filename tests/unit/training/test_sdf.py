@@ -72,7 +72,7 @@ def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path, shapes: Path
 def test_folder_of_another_recipe_is_refused(tmp_path: Path, shapes: Path) -> None:
     out = prepared(tmp_path / "out", shapes)
     sdf.train_sdf(out, dataclasses.replace(TINY, steps=1))
-    with pytest.raises(InputError, match="another recipe"):
+    with pytest.raises(InputError, match=r"another recipe \(steps=1, not 2\)"):
         sdf.train_sdf(out, dataclasses.replace(TINY, steps=2))
 
 
