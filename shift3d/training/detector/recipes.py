@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from math import cos, pi
@@ -102,7 +103,10 @@ def changed(recipe: Recipe, words: Mapping[str, str]) -> Recipe:
     inner = _settable(recipe.augmentation)
     for name in words:
         if name not in own | inner:
-            raise InputError(f"recipe.{name} is unknown", "train", f"Choose from {', '.join(sorted(own | inner))}")
+            close = difflib.get_close_matches(name, own | inner, n=1)
+            hint = f"Did you mean recipe.{close[0]}=? " if close else ""
+            remedy = f"{hint}Choose from {', '.join(sorted(own | inner))}"
+            raise InputError(f"recipe.{name} is unknown", "train", remedy)
     ours = {name: _parsed(name, text, own[name]) for name, text in words.items() if name in own}
     theirs = {name: _parsed(name, text, inner[name]) for name, text in words.items() if name in inner}
     result = replace(recipe, **ours, augmentation=replace(recipe.augmentation, **theirs))

@@ -55,6 +55,7 @@ def test_words_change_fields_of_the_recipe_and_of_its_augmentation() -> None:
     ("field", "value", "message"),
     [
         ("sclae", "1,1", "recipe.sclae is unknown"),
+        ("sclae", "1,1", r"Did you mean recipe\.scale="),
         ("network", "1", "recipe.network is unknown"),
         ("pasted", "many", "recipe.pasted='many'"),
         ("scale", "1.1,0.9", "The range is empty"),
