@@ -61,7 +61,7 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
     Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
     Source: SHIFT3D's supplement takes 10 principal components to reconstruct vehicles; the ellipsoid is our choice.
     """
-    mean, spread, axes = principal_components(codes, components, where)
+    mean, spread, axes = principal_components(codes, components, where, "attack.components")
     basis = torch.from_numpy(spread[:, None] * axes)
     start = torch.from_numpy(((code0.detach().double().numpy() - mean) @ axes.T) / spread)
     radius = max(ball_radius(components), float(start.norm()))

@@ -21,15 +21,17 @@ def ball_radius(components: int) -> float:
     return float(np.sqrt(2.0 * gammaincinv(components / 2, _BALL)))
 
 
-def principal_components(codes: NDArray[np.float32], components: int, where: str) -> tuple[Array, Array, Array]:
+def principal_components(
+    codes: NDArray[np.float32], components: int, where: str, setting: str = ""
+) -> tuple[Array, Array, Array]:
     """Compute mean (d,), standard deviations (k,) and unit vectors (k, d) of the first principal components.
 
-    codes: (N, d). where: origin of the codes, for messages.
+    codes: (N, d). where: origin of the codes, for messages. setting: name of the setting of `components`, if any.
     Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
     """
     if len(codes) < components + 2:
         what = f"{counted(len(codes), 'code')}: too few for {counted(components, 'component')}"
-        fewer = f"at most {counted(len(codes) - 2, 'component')}, or " if len(codes) > 2 else ""
+        fewer = f"{setting}={len(codes) - 2} or less, or " if len(codes) > 2 and setting else ""
         raise InputError(what, where, f"Give {fewer}more vehicles")
     mean = codes.astype(np.float64).mean(axis=0)
     _, spread, axes = np.linalg.svd(codes - mean, full_matrices=False)

@@ -83,7 +83,7 @@ def test_a_baseline_beyond_the_ball_stays_where_it_is(codes: np.ndarray) -> None
 
 
 def test_too_few_codes_are_refused_with_how_many_would_do(codes: np.ndarray) -> None:
-    with pytest.raises(InputError, match=r"6 codes: too few for 5 components.*at most 4"):
+    with pytest.raises(InputError, match=r"6 codes: too few for 5 components.*Give attack.components=4 or less"):
         pca_space(torch.zeros(8), codes[:6], 5, "some checkpoint")
     with pytest.raises(InputError, match="do not spread along 5 directions"):
         pca_space(torch.zeros(8), codes, 5, "some checkpoint")
