@@ -47,7 +47,7 @@ def _run(arguments: argparse.Namespace) -> int:
     fits = fit_meshes(arguments.path, frame, out, values.get("decoder"), steps)
     for fit in fits:
         size = " x ".join(f"{metres:.2f}" for metres in fit.vehicle.facts()["size_m"])
-        print(f"{fit.vehicle.name}: {size} m, {100 * fit.vehicle.chamfer_m:.1f} cm from its mesh")
+        print(f"{fit.vehicle.name}: {size} m, {100 * fit.vehicle.chamfer_m:.1f} cm from its mesh on average")
         if not fit.repair.watertight:
             print(f"{fit.vehicle.name}: mesh {fit.repair}")
         for doubt in _doubts(fit, frame, out):
