@@ -30,7 +30,7 @@ from shift3d.task.spec import TaskSpec
 from shift3d.training.command import WEIGHTS_FOLDER, TrainOptions
 from shift3d.training.compute import restore_subnormals
 from shift3d.training.detector.crop_sampling import EpochCrops, epoch_steps
-from shift3d.training.detector.loop import train_on_scenes
+from shift3d.training.detector.loop import CHECKPOINT, own_checkpoint, train_on_scenes
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector.recipes import RECIPES, changed
 from shift3d.training.detector.train import export_weights, training_facts
@@ -130,6 +130,8 @@ def fine_tune(
     recipe = _with_anchors(tuning_recipe(detector, len(found.objects), options), state)
     compute = options.compute()
     compute.prepare()
+    data = f"objects-{objects_digest(found)} from {start_hash}"
+    own_checkpoint(options.out / CHECKPOINT, recipe, data)  # before scenes are made
     natural, inserted = natural_scenes(options.out, found), object_scenes(options.out, found)
     net = train_on_scenes(
         options.out,
@@ -138,7 +140,7 @@ def fine_tune(
         inserted,
         compute=compute,
         report=report,
-        data=f"objects-{objects_digest(found)} from {start_hash}",
+        data=data,
         start=state,
         draw=EpochCrops,
         keep_statistics=True,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
@@ -54,6 +55,35 @@ SHIPPED_DATA = "street"
 CURVE_STEPS = 25  # steps per curve point; a point is the mean over these steps
 
 
+def own_checkpoint(file: Path, recipe: Recipe, data: str) -> dict[str, Any] | None:
+    """Read the checkpoint of a training; None if there is none. recipe, data: as for `train_on_scenes`.
+
+    Raises: InputError: the checkpoint is of another recipe, other scenes or another start, or cannot be read.
+    """
+    if not file.is_file():
+        return None
+    state = read_checkpoint(file)
+    how = ""
+    if state.get("recipe") != repr(recipe):
+        other = _fields_missing(recipe, str(state.get("recipe")))
+        how = f"by another recipe than {', '.join(other) or 'this'}"
+    elif state.get("data", SHIPPED_DATA) != data:  # checkpoints without `data` are of the shipped streets
+        how = "on another set of scenes, or from other weights"
+    if how:
+        raise InputError(f"the checkpoint was trained {how}", str(file), remedy="Choose another folder with out=")
+    return state
+
+
+def _fields_missing(recipe: Recipe, text: str) -> list[str]:
+    """Return the fields of a recipe whose values the text of another recipe does not hold, as on a command line."""
+    values = {**vars(recipe), **vars(recipe.augmentation)}
+    return [
+        f"recipe.{name}={value}"
+        for name, value in values.items()
+        if name != "augmentation" and not re.search(rf"[( ]{name}={re.escape(repr(value))}[,)]", text)
+    ]
+
+
 class _Run:
     """State of one training: network, optimiser, steps done, curve, steps since its last point, and seconds."""
 
@@ -79,17 +109,9 @@ class _Run:
         self.began_s = time.monotonic() - self._resume()
 
     def _resume(self) -> float:
-        if not self.file.is_file():
+        state = own_checkpoint(self.file, self.recipe, self.data)
+        if state is None:
             return 0.0
-        state = read_checkpoint(self.file)
-        for key, ours, how in (
-            ("recipe", repr(self.recipe), "by another recipe"),
-            ("data", self.data, "on another set of scenes, or from other weights"),
-        ):
-            # Checkpoints without `data` are of the shipped streets.
-            if state.get(key, SHIPPED_DATA) != ours:
-                what = f"the checkpoint was trained {how}"
-                raise InputError(what, str(self.file), remedy="Choose another folder with out=")
         self.net.load_state_dict(state["net"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.done = int(state["steps_done"])

@@ -20,7 +20,7 @@ from shift3d.seeding import generator
 from shift3d.store.arrays import write_safetensors
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import ONE_THREAD, Compute, restore_subnormals
-from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
+from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, own_checkpoint, train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.warm_start import start_file, start_state
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
@@ -59,6 +59,7 @@ def train_detector(
     recipe.validate()
     begun_with = start_file(recipe, start_from)
     data = _identity(scenes, begun_with)
+    own_checkpoint(out_dir / CHECKPOINT, recipe, data)  # a folder of another training is refused before scenes are made
     start = start_state(recipe, start_from)
     before = None if begun_with is None else read_provenance(begun_with)
     compute.prepare()

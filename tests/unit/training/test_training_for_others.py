@@ -144,6 +144,17 @@ def test_a_folder_of_other_scenes_or_another_start_is_refused(tmp_path: Path) ->
         train_on_scenes(tmp_path / "out", TINY, files, data="kitti-2")
 
 
+def test_a_folder_of_another_recipe_is_refused_before_scenes_are_made(tmp_path: Path) -> None:
+    files = cache_scenes(tmp_path / "scenes", ["0"], _scene)
+    train_on_scenes(tmp_path / "out", TINY, files, stop_after=1)
+    changed = dataclasses.replace(
+        TINY, steps=TINY.steps + 1, augmentation=dataclasses.replace(TINY.augmentation, flip=0.25)
+    )
+    with pytest.raises(InputError, match=rf"another recipe than recipe\.steps={changed.steps}, recipe\.flip=0\.25\. "):
+        train_detector(tmp_path / "out", changed)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["checkpoint.pt"]
+
+
 def test_a_training_without_a_step_computes_the_statistics_and_states_its_facts(tmp_path: Path) -> None:
     recipe = dataclasses.replace(TINY, steps=0, mesh_only_steps=0, settle_steps=0)
     scenes, weights = KittiScenes(_kitti(tmp_path)), tmp_path / "out" / "pointpillars.safetensors"
