@@ -57,8 +57,9 @@ def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
         found = tuple(state[name].shape) if name in state else None
         wanted = tuple(expected[name].shape) if name in expected else None
         if found != wanted:
-            what = f"tensor {name} has shape {found}, the network has {wanted}"
-            raise InputError(what, where=str(path), remedy="Use weights trained for these settings")
+            what = f"has shape {found}, the network has {wanted}"
+            what = "is missing" if found is None else "is in no layer of the network" if wanted is None else what
+            raise InputError(f"tensor {name} {what}", where=str(path), remedy=f"Give weights of {net.name}")
         if wrong := wrong_values(name, state[name], expected[name]):
             raise InputError(f"tensor {name} {wrong}", where=str(path), remedy="Copy it again, or train again")
     net.load_state_dict(state)

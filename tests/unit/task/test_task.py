@@ -114,7 +114,7 @@ def test_float64_scores_agree_with_float32(assets: Assets, shape: TaskResult) ->
 
 def test_weights_of_another_network_are_refused_before_any_task() -> None:
     foreign = Path(__file__).parents[3] / "shift3d" / "weights" / "sdf.safetensors"
-    with pytest.raises(InputError, match=r"sdf\.safetensors: tensor backbone.*the network has"):
+    with pytest.raises(InputError, match=r"sdf\.safetensors: tensor backbone.* is missing"):
         load_assets(AssetsSpec(scenes=STREET, detectors={"pointpillars": str(foreign)}))
 
 
