@@ -60,13 +60,13 @@ def test_wrong_tensors(file: Path, tmp_path: Path, fault: str) -> None:
         state[name][0, 0] = torch.nan
     broken = tmp_path / "broken.safetensors"
     save_file(state, broken)
-    said = {
+    message = {
         "shape": r"has shape \(3, 384, 1, 1\), the network has .*Give weights of pointpillars",
         "missing": f"tensor {name} is missing",
         "surplus": r"tensor heads\.more\.weight is in no layer of the network",
         "nan": "finite",
     }[fault]
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         load_detector(path=broken)
 
 
