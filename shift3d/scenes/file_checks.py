@@ -21,6 +21,8 @@ _MISSING_REMEDY = "Add it, or leave the scene out"
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M = 0.5, 150.0
 FARTHEST_M = 1e4
 """Largest distance of a return, label or sensor, and largest size; larger values mean a damaged file."""
+TWO_TURNS_RAD = 4.0 * np.pi
+"""Largest heading of a label: larger values are degrees, or a damaged file."""
 
 
 def read_bytes(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> bytes:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.file_checks import (
+    TWO_TURNS_RAD,
     abbreviated_list,
     names_in,
     read_array,
@@ -38,7 +38,6 @@ _CLASSES = {
     "cyclist": """cyclist bicyclist motorcyclist wheeled_rider bicycle motorcycle type_cyclist vehicle.bicycle
         vehicle.motorcycle""",
 }
-_TWO_TURNS_RAD = 4 * np.pi
 _CONVERT = "Write each frame as a float32 array (N, 4) with np.save (docs/guides/scenes.md)"
 _COLUMNS = ("x", "y", "z", "dx", "dy", "dz", "heading", "class")
 
@@ -171,7 +170,7 @@ class OpenPcdetScenes(RecordedScenes):
             names.append(words[7])
         stacked = np.array(boxes, dtype=np.float64).reshape(-1, 7)
         classes = tuple(class_of(name) for name in names)
-        return Labels(stacked, classes, count_in_boxes(points, stacked), tuple(names))
+        return Labels.of_file(stacked, classes, tuple(names), points, str(file))
 
 
 def _listed_in(file: Location) -> list[str]:
@@ -201,6 +200,6 @@ def _box(words: Sequence[str], where: str) -> NDArray[np.float64]:
         raise InputError(f"a column that is no number ({error})", where, f"Write {' '.join(_COLUMNS)}") from error
     if not np.isfinite(box).all() or not (box[3:6] > 0.0).all():
         raise InputError(f"a box of {box[3:6].tolist()} m", where, "Write positive sizes, and finite numbers alone")
-    if abs(box[6]) > _TWO_TURNS_RAD:
+    if abs(box[6]) > TWO_TURNS_RAD:
         raise InputError(f"a heading of {box[6]:g} rad, over two turns", where, "Write headings in radians")
     return box

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import validate_boxes
-from shift3d.scenes.file_checks import FARTHEST_M, refuse_not_finite, require_array
+from shift3d.geometry.boxes import count_in_boxes, validate_boxes
+from shift3d.scenes.file_checks import FARTHEST_M, TWO_TURNS_RAD, UNITS_REMEDY, refuse_not_finite, require_array
 from shift3d.scenes.ground_map import GroundMap
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
@@ -45,6 +45,21 @@ class Labels:
     names: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
 
+    @staticmethod
+    def of_file(
+        boxes: NDArray[np.float64],
+        classes: tuple[str, ...],
+        names: tuple[str, ...],
+        points: NDArray[np.float32],
+        where: str,
+    ) -> Labels:
+        """Make the labels of a file, and count the points (N, 3) in each box. where: the file, for the error.
+
+        Raises InputError: a box that is not finite, has no volume, or cannot be in metres and radians.
+        """
+        _validate_label_boxes(boxes, where)
+        return Labels(boxes, classes, count_in_boxes(points, boxes), names)
+
     def of_class(self, name: str) -> NDArray[np.float64]:
         """Return the boxes (K, 7) of one class, in label order."""
         return self.boxes[self.mask(name)]
@@ -58,7 +73,7 @@ class Labels:
 
         Raises InputError: naming the field, the row and the remedy.
         """
-        validate_boxes(self.boxes, f"{where}, labels.boxes")
+        _validate_label_boxes(self.boxes, f"{where}, labels.boxes")
         count = len(self.boxes)
         for name, one in (("classes", "class"), ("names", "name"), ("kinds", "kind")):
             values = getattr(self, name)
@@ -72,6 +87,16 @@ class Labels:
             row = int(np.argmax(self.num_points < 0))
             what = f"row {row} is {self.num_points[row]}"
             raise InputError(what, f"{where}, labels.num_points", "Give counts of at least 0.")
+
+
+def _validate_label_boxes(boxes: NDArray[np.float64], where: str) -> None:
+    validate_boxes(boxes, where)
+    if (far := np.abs(boxes[:, :6]).max(axis=1, initial=0.0) > FARTHEST_M).any():
+        what = f"box {int(far.argmax())} has place and size {boxes[far.argmax(), :6].tolist()}"
+        raise InputError(what, where, "Repair the box, or the pose of its frame: metres, at most 10 km")
+    if (turned := np.abs(boxes[:, 6]) > TWO_TURNS_RAD).any():
+        what = f"box {int(turned.argmax())} has a heading of {boxes[turned.argmax(), 6]:g} rad, over two turns"
+        raise InputError(what, where, UNITS_REMEDY)
 
 
 @dataclass(frozen=True)

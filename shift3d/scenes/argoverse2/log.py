@@ -12,7 +12,6 @@ import pyarrow.feather as feather
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import count_in_boxes, validate_boxes
 from shift3d.geometry.rigid import from_quaternion, heading_of, interpolate_poses, inverse
 from shift3d.scenes.file_checks import opened, stems_in
 from shift3d.scenes.scene import Labels
@@ -196,9 +195,8 @@ def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offs
     sizes = np.stack([column(table, f"{edge}_m", np.float64, file) for edge in ("length", "width", "height")], axis=1)
     boxes = np.concatenate((placed[:, :3, 3] - offset, sizes, heading_of(placed)[:, None]), axis=1)
     where = f"{file}, sweep {timestamp}"
-    validate_boxes(boxes, where)
     names = tuple(str(name) for name in table["category"].to_pylist())
     for name in names:
         if name not in CLASSES:
             raise InputError(f"unknown category {name!r}", where, f"Write one of {', '.join(CLASSES)}")
-    return Labels(boxes, tuple(CLASSES[name] for name in names), count_in_boxes(points, boxes), names)
+    return Labels.of_file(boxes, tuple(CLASSES[name] for name in names), names, points, where)

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d
-from shift3d.scenes.file_checks import FARTHEST_M, read_lines, read_records, refuse_not_finite, require_metres
+from shift3d.scenes.file_checks import (
+    FARTHEST_M,
+    TWO_TURNS_RAD,
+    read_lines,
+    read_records,
+    refuse_not_finite,
+    require_metres,
+)
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
@@ -193,6 +200,8 @@ def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel
             raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Write positive sizes, in metres.")
         if not max(abs(value) for value in values[10:13]) <= FARTHEST_M:
             raise InputError(f"box at {tuple(values[10:13])}", where, "Give its place in metres.")
+        if abs(values[13]) > TWO_TURNS_RAD:
+            raise InputError(f"rotation_y {values[13]:g}, over two turns", where, "Write it in radians.")
         box = lidar_box(values[7:10], values[10:13], values[13], calibration)
         labels.append(KittiLabel(columns[0], box, values[0], int(values[1]), values[6] - values[4]))
     return labels

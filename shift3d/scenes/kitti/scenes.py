@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.file_checks import names_in, stems_in
 from shift3d.scenes.ground_map import estimate_ground_z, search_ground_z
 from shift3d.scenes.kitti.files import (
@@ -116,7 +115,7 @@ class KittiScenes(RecordedScenes):
             return Labels()
         rows = self.label_rows(name)
         boxes, names = np.array([row.box for row in rows]).reshape(-1, 7), tuple(row.name for row in rows)
-        return Labels(boxes, tuple(CLASSES[name] for name in names), count_in_boxes(points, boxes), names)
+        return Labels.of_file(boxes, tuple(CLASSES[name] for name in names), names, points, str(self._labels_in))
 
 
 def _ground_z(points: NDArray[np.float32]) -> float:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import count_in_boxes
 from shift3d.geometry.rigid import from_quaternion, heading_of
 from shift3d.scenes.file_checks import opened
 from shift3d.scenes.scene import Labels
@@ -199,7 +198,7 @@ def boxes_of(
         placed = scene_SE3_global @ pose_of(row, here)
         boxes[index] = [*placed[:3, 3], length, width, height, float(heading_of(placed))]
     names = tuple(str(row["category"]) for row in rows)
-    return Labels(boxes, tuple(class_of(name) for name in names), count_in_boxes(points, boxes), names)
+    return Labels.of_file(boxes, tuple(class_of(name) for name in names), names, points, where)
 
 
 _RAIN = re.compile(r"\brain(y|ing|s)?\b", re.IGNORECASE)  # neither train nor terrain; "after rain" is rain

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import count_in_boxes
 from shift3d.geometry.rigid import validate_rigid
 from shift3d.scenes.scene import Labels
 from shift3d.scenes.waymo.range_image import LaserCalibration, filled_poses, vehicle_beams, vehicle_SE3_pixels
@@ -188,7 +187,7 @@ def read_labels(
         types.append(CLASSES[kind])
     boxes[:, :3] -= offset
     names, classes = tuple(name for name, _ in types), tuple(kind for _, kind in types)
-    return Labels(boxes, classes, count_in_boxes(points, boxes), names)
+    return Labels.of_file(boxes, classes, names, points, f"{component.file}, frame {timestamp}")
 
 
 def read_weather(root: Location, segment: str, timestamp: int) -> str:

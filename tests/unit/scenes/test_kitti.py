@@ -136,6 +136,7 @@ def replace_in(part: str, old: str, new: str) -> Callable[[Path], None]:
         (drop_frame, r"label_2.000007\.txt.*no frame"),
         (replace_in("label_2", "1.60", "wide"), r"label_2.000007\.txt, line 1.*'wide'"),
         (replace_in("label_2", "1.60", "-1.60"), r"line 1.*size"),
+        (replace_in("label_2", CAR.split()[14], "90"), r"line 1.*rotation_y 90, over two turns.*radians"),
         (replace_in("label_2", "Car", "Carr"), r"line 1.*unknown class 'Carr'"),
         (replace_in("label_2", " 20.00", ""), r"line 1.*14 columns"),
         (replace_in("calib", "Tr_velo_to_cam", "Tr_imu"), r"calib.000007\.txt.*Tr_velo_to_cam"),

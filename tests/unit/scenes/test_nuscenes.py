@@ -232,9 +232,18 @@ def test_a_bad_row_refuses_the_scenes_that_use_it(
     assert refused == ["sample10"]
 
 
-@pytest.mark.parametrize(("sweeps", "says"), [(1, "conditions.ego_velocity_m_s"), (2, "origins: the beam of row")])
-def test_a_sweep_of_another_town_is_refused(tmp_path: Path, sweeps: int, says: str) -> None:
+@pytest.mark.parametrize(
+    ("labelled", "sweeps", "says"),
+    [
+        (True, 1, r"sample_annotation\.json, sample sample02: box 0 .*the pose of its frame"),
+        (False, 1, "conditions.ego_velocity_m_s"),
+        (False, 2, "origins: the beam of row"),
+    ],
+)
+def test_a_sweep_of_another_town_is_refused(tmp_path: Path, labelled: bool, sweeps: int, says: str) -> None:
     write_release(tmp_path)
+    if not labelled:
+        change_table(tmp_path, "sample_annotation", lambda rows: [])
     change_table(tmp_path, "ego_pose", lambda rows: rows[2].update(translation=[20_000.0, 0.0, 0.0]))
     with pytest.raises(InputError, match=says):
         NuScenesScenes(tmp_path, sweeps=sweeps).load("sample02")

@@ -187,6 +187,8 @@ def with_nan() -> np.ndarray:
         (label("1 2 3 4 0 6 0 Car"), r"line 1: a box of"),
         (label("1 2 nan 4 5 6 0 Car"), r"line 1: a box of"),
         (label("1 2 3 4 5 6 95 Car"), r"line 1: a heading of 95 rad.*radians"),
+        (label("1 2 3 4e200 5 6 0 Car"), r"000001\.txt: box 0 has place and size .*metres"),
+        (label("1 -2e300 3 4 5 6 0 Car"), r"000001\.txt: box 0 has place and size .*metres"),
     ],
 )
 def test_damaged_files_give_one_clear_line(tmp_path: Path, spoil: Callable[[Path], object], says: str) -> None:

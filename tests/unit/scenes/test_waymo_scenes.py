@@ -273,7 +273,12 @@ INCLINATION = "[LiDARCalibrationComponent].beam_inclination"
         ),
         (rewrite("lidar_calibration", with_column(f"{INCLINATION}.values", lambda v: [57 * x for x in v])), "radians"),
         (rewrite("lidar_box", with_column("[LiDARBoxComponent].type", lambda kind: 7)), r"unknown type 7"),
-        (rewrite("lidar_box", with_column("[LiDARBoxComponent].box.size.x", lambda size: -1.0)), r"dx = -1"),
+        (rewrite("lidar_box", with_column("[LiDARBoxComponent].box.size.x", lambda size: -1.0)), r"lidar_box.*dx = -1"),
+        (
+            rewrite("lidar_box", with_column("[LiDARBoxComponent].box.center.x", lambda x: 1e300)),
+            r"lidar_box.*box 0 has",
+        ),
+        (rewrite("lidar_box", with_column("[LiDARBoxComponent].box.heading", lambda a: 1e9)), r"lidar_box.*two turns"),
     ],
 )
 def test_what_does_not_fit_together_gives_one_clear_line(tmp_path: Path, spoil: Spoil, says: str) -> None:
