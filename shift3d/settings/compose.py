@@ -71,10 +71,10 @@ def compose_sweep(
     compose, parse = _hydra(sweeps[name], where)
     stated, params = compose([])
     axes_stated = [f"{key}={value}" for key, value in params.items()]
-    small = _small(stated.get(_SMALL), parse(list(overrides)), where)
     listed, requested = (
         [quoted(word, text_setting_paths(Config)) for word in words] for words in (axes_stated, overrides)
     )
+    small = _small(stated.get(_SMALL), parse(requested), where)
     words = [*listed, *small, *requested]
     axis_texts, fixed = _split(parse(words), where)
     first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]

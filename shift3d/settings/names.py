@@ -1,7 +1,7 @@
 """Text settings: digits given for an epoch, frame or folder stay a text exactly as written.
 
-Without this, Hydra and YAML read ``vehicle.checkpoint=2000`` as a number and ``vehicle.name=1e5`` as 100000.0; the
-shell removes quotes that would prevent it.
+Without this, Hydra and YAML read ``vehicle.checkpoint=2000`` as a number and ``vehicle.name=1e5`` as 100000.0, and
+refuse ``scenes.root=/data/día=1``; the shell removes quotes that would prevent it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,10 @@ from pydantic import BaseModel, BeforeValidator
 from pydantic_core import PydanticCustomError
 
 _NUMBER = re.compile(r"(?<![^\s=,\[])[-+]?[\d._]+(?:[eE][-+]?\d+)?(?![^\s,\]])")
+
+_WORD = re.compile(r"[^,\[\]]+")  # of a list of values
+_QUOTED_ALONE = re.compile(r"[^\w\s/\\+.$%*@?|:-]", re.ASCII)  # letters with accents, =, &, #: frequent in paths
+_STRUCTURE = re.compile(r"[(){}]")  # functions, dictionaries, interpolations, and Hydra's escapes of brackets
 
 
 def _as_text(value: object) -> object:
@@ -64,8 +68,14 @@ def _kinds(annotation: Any) -> list[Any]:
 
 
 def quoted(override: str, texts: Collection[str]) -> str:
-    """Quote the numbers of an override if its setting is in `texts`."""
+    """Quote numbers, and words that Hydra reads in quotes alone, in an override if its setting is in `texts`."""
     key, equals, value = override.partition("=")
     if key.lstrip("+") not in texts or "'" in value or '"' in value:
         return override
-    return f"{key}{equals}{_NUMBER.sub(lambda number: repr(number[0]), value)}"
+    return f"{key}{equals}{_WORD.sub(lambda word: _quoted_word(word[0]), value)}"
+
+
+def _quoted_word(word: str) -> str:
+    if _QUOTED_ALONE.search(word) and not _STRUCTURE.search(word):
+        return f'"{word}"'
+    return _NUMBER.sub(lambda number: repr(number[0]), word)

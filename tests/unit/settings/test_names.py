@@ -102,6 +102,21 @@ def test_only_numbers_of_texts_are_quoted(word: str, same: bool) -> None:
     assert (quoted(word, text_setting_paths(Config)) == word) is same
 
 
+@pytest.mark.parametrize(
+    "root", ["/tmp/\u00f1and\u00fa 2/\u8eca", "data/date=2024-05-01", "~me/A&B #1", "C:/a!b;c", "/data/2026"]
+)
+def test_a_path_of_any_letters_is_itself(root: str) -> None:
+    (config,) = expand(compose_sweep("kitti", [*KITTI, f"scenes.root={root}"]))
+    assert isinstance(config.scenes, KittiConfig) and config.scenes.root == root
+
+
+def test_lists_and_axes_of_any_letters() -> None:
+    (config,) = expand(compose_sweep("kitti", [*KITTI, "scenes.names=[\u00e9=1, 007]"]))
+    assert isinstance(config.scenes, KittiConfig) and config.scenes.names == ["\u00e9=1", "007"]
+    found = expand(compose_sweep("kitti", [*KITTI, "scene=\u00e9 1,2,b=3"]))
+    assert [config.scene for config in found] == ["\u00e9 1", "2", "b=3"]
+
+
 @pytest.mark.parametrize("word", ["vehicle.name=true", "attack.steps=many", "mode=3", "scenes.root=[1]"])
 def test_what_is_no_name_is_refused(word: str) -> None:
     with pytest.raises(InputError):
