@@ -103,8 +103,23 @@ def _refuse_option(parser: argparse.ArgumentParser, name: str | None, option: st
     parser.error(f"unknown option {option!r} of {name or 'shift3d'}. {hint}One of: {', '.join(known)}")
 
 
+def _open_standard_streams() -> None:
+    """Open /dev/null as each standard stream that the parent process closed.
+
+    Else the next file that the program opens gets the stream's number, and messages of libraries go into that file.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number: this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code. An InputError becomes one line on stderr."""
+    _open_standard_streams()
     parsed = parse(arguments)
     if parsed.version:
         from shift3d.cli.version import version_lines

@@ -118,6 +118,20 @@ def test_an_interrupted_command_says_whether_it_resumes(command: str, says: str,
     assert running.stderr is not None and running.stderr.read() == f"shift3d {command}: {says}\n"
 
 
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_the_parent_closed_are_dev_null(tmp_path: Path, closed: str) -> None:
+    """A file that gets the number of a closed stream would hold messages of libraries."""
+    code = (
+        "import os, sys; from shift3d.cli.main import main; main(['--version'])\n"
+        "numbers = [os.open(os.devnull, os.O_RDONLY) for _ in range(3)]\n"
+        "print('x', file=sys.stdout), print('x', file=sys.stderr), sys.stderr.isatty()\n"
+        "open('done', 'w').write(str(min(numbers)))"
+    )
+    command = f'"$0" -c "$1" {closed}'
+    done = subprocess.run(["bash", "-c", command, sys.executable, code], cwd=tmp_path, capture_output=True, check=False)
+    assert done.returncode == 0 and int((tmp_path / "done").read_text()) > 2
+
+
 def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     assert "examples:" in capsys.readouterr().out
