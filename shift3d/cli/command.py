@@ -145,13 +145,12 @@ def real_number(values: Mapping[str, str], key: str, where: str, example: str) -
 
 
 def local_path(text: str, key: str = "out") -> Path:
-    """Parse a local path and expand ~. key: key of the word. Raises: InputError: a URL, or an unknown user after ~."""
+    """Parse a local path and expand ~. key: key of the word. Raises: InputError: a URL, or as `as_location`."""
+    from shift3d.store.resolve import as_location
+
     if "://" in text:
         raise InputError("is no local path, and this command writes to this machine", text, f"Give {key}=PATH")
-    try:
-        return Path(text).expanduser()
-    except RuntimeError:
-        raise InputError("there is no such user", text, f"Give {key}=PATH") from None
+    return Path(str(as_location(text)))
 
 
 def writable_folder(text: str, key: str = "out") -> Path:

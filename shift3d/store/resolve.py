@@ -18,13 +18,18 @@ LocationLike = Location | Path | str
 def as_location(place: LocationLike) -> Location:
     """Return the location of a path, ``s3://bucket/prefix`` or ``gs://bucket/prefix``. In text, ~ is the home folder.
 
-    Raises: InputError: the text is empty, its ~user is unknown, the URL lacks its slashes or has no bucket or another
-    scheme, or settings in the environment are unusable.
+    Raises: InputError: the text is empty or not UTF-8, its ~user is unknown, the URL lacks its slashes or has no bucket
+    or another scheme, or settings in the environment are unusable.
     """
     if isinstance(place, Location):
         return place
     if isinstance(place, str) and not place.strip():
         raise InputError("the name of a folder is empty", remedy="Give one; is a variable of the shell unset?")
+    try:
+        str(place).encode()
+    except UnicodeEncodeError:
+        what = "the name is not UTF-8: neither settings nor Parquet readers can hold it"
+        raise InputError(what, str(place), "Rename the folder") from None
     if isinstance(place, str) and "://" in place:
         from shift3d.store.buckets.object_store import object_location  # late: folders need no obstore
 

@@ -134,6 +134,13 @@ def test_text_is_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert as_location("a").absolute() == as_location(tmp_path / "a")
 
 
+@pytest.mark.parametrize("place", ["a\udcff", Path("a\udcff")])
+def test_a_name_that_no_table_can_be_read_from_is_refused(place: str | Path) -> None:
+    """The shell passes the byte 0xff, as in an archive of another system."""
+    with pytest.raises(InputError, match=r"not UTF-8.*Rename"):
+        as_location(place)
+
+
 def test_a_file_is_read_from_any_place_in_it(place: Location) -> None:
     file = place / "data"
     with pytest.raises(FileNotFoundError):
