@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -147,7 +148,7 @@ def stable_objects(folder: LocationLike, detector: str, weights_hash: str, metho
     found = scored_objects(folder, detector, ("adversarial",))
     where = str(found.folder)
     if any(row.stable is None for row in found.objects):
-        remedy = f"Verify the sweep first: shift3d verify {where}"
+        remedy = f"Verify the sweep first: shift3d verify {shlex.quote(where)}"
         raise InputError("is not verified, so its stable objects are unknown", where=where, remedy=remedy)
     refuse_other_weights(
         found, weights_hash, "the tuning starts from", "Give start_from= the weights that the sweep attacked"

@@ -188,7 +188,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     elif sweep.verification is not None:
         print(f"\n{stability_lines(sweep.verification)}\n")
     else:
-        print(f"to check the hard cases for rounding errors: shift3d verify {result.folder}")
+        print(f"to check the hard cases for rounding errors: shift3d verify {shlex.quote(str(result.folder))}")
     _mirror(plan, config, result)
     return unplaced is None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 
 from shift3d.cli.command import FINISHED_SWEEP_HELP, Command, choice, key_values, whole_number
 from shift3d.cli.completion import key_words
@@ -58,7 +59,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for reason, number in frozen.left_out.items():
         print(f"left out: {number} {reason}")
     if frozen.unverified:
-        print(f"not verified: {counted(frozen.unverified, 'hard object')}; shift3d verify {arguments.out}")
+        print(f"not verified: {counted(frozen.unverified, 'hard object')}; shift3d verify {shlex.quote(arguments.out)}")
     if frozen.largest_difference is None:
         print("no object was scored again: the suite or all its scenes were there already")
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 
 from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 from shift3d.cli.outcomes import interrupted
@@ -36,7 +37,7 @@ def _run(arguments: argparse.Namespace) -> int:
     sweep = read_sweep(arguments.out)
     for label, found in pattern_groups(sweep.patterns, sweep.scores):
         print(f"\n{patterns_table(f'Changes: {label}', found)}")
-    print(f"\nmeasured in {result.seconds:.0f} s; shift3d report {arguments.out} shows the changes")
+    print(f"\nmeasured in {result.seconds:.0f} s; shift3d report {shlex.quote(arguments.out)} shows the changes")
     print("the sweep's command copies them to MLflow")
     return int(ExitCode.INCOMPLETE if result.quarantined else ExitCode.DONE)
 

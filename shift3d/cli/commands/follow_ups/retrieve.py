@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 
 from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 from shift3d.cli.completion import retrieval_words
@@ -72,7 +73,8 @@ def _run(arguments: argparse.Namespace) -> int:
     table = retrieval_table(with_effects_requested(scored.final.frame("retrieved"), sweep.tasks))
     print(f"\n{table if table else 'no adversarial shape has a score: nothing to retrieve'}\n")
     print(f"{folder / 'final' / 'retrieved.parquet'} written in {fitted.seconds + scored.seconds:.0f} s")
-    print(f"pictures and curves: shift3d report {folder}; the sweep's command copies the scores to MLflow")
+    print(f"pictures and curves: shift3d report {shlex.quote(str(folder))}")
+    print("the sweep's command copies the scores to MLflow")
     return int(ExitCode.INCOMPLETE if fitted.quarantined or scored.quarantined else ExitCode.DONE)
 
 
