@@ -48,11 +48,14 @@ class ScoresOnlyDetector(NmsDetector):
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
         """See `Detector`; float64 logits, no gradient. Raises InputError if the model fails or its output is bad."""
-        boxes, scores = self.answer(points.detach().to(torch.float32))
+        # A copy: a model that moves its points in place must not move those of the scene.
+        boxes, scores = self.answer(points.detach().to(torch.float32, copy=True))
+        with np.errstate(over="ignore"):
+            boxes = boxes.astype(np.float32)
         self._check(boxes, scores)
         kept = np.arange(len(scores)) if window is None else np.flatnonzero(_inside(boxes, window))
         logits = torch.logit(torch.from_numpy(scores[kept]).double(), eps=_SATURATED)
-        return Proposals(torch.from_numpy(boxes[kept]).float(), logits, torch.from_numpy(kept))
+        return Proposals(torch.from_numpy(boxes[kept]), logits, torch.from_numpy(kept))
 
     def try_on_random_points(self) -> None:
         """Run the detector on two numbers of points, and twice on the same points. Raises InputError."""

@@ -61,9 +61,10 @@ class UserDetector(NmsDetector):
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
         """See `Detector`. Raises InputError if the model does not return boxes and logits, or returns NaN."""
         with _clear_errors(self._where):
-            answer = self._model(points.to(self._dtype))
+            # A copy: a model that moves its points in place must not move those of the scene.
+            answer = self._model(points.to(self._dtype, copy=True))
         boxes, logits = _checked(answer, self._where)
-        return Proposals(boxes.detach().float(), logits, torch.arange(len(logits)))
+        return Proposals(boxes, logits, torch.arange(len(logits)))
 
 
 class UserScores(ScoresOnlyDetector):
@@ -181,6 +182,7 @@ def _try(detector: UserDetector, where: str) -> None:
 
 
 def _checked(answer: Any, where: str) -> tuple[Tensor, Tensor]:
+    """Return boxes (A, 7) float32 without gradient, and logits (A,)."""
     if not isinstance(answer, tuple | list) or len(answer) != 2 or not all(isinstance(part, Tensor) for part in answer):
         what = "its answer is neither torch tensors (boxes, logits) nor numpy arrays (boxes, scores)"
         raise InputError(what, where, _GUIDE)
@@ -188,6 +190,7 @@ def _checked(answer: Any, where: str) -> tuple[Tensor, Tensor]:
     if boxes.ndim != 2 or boxes.shape[1] != 7 or logits.shape != boxes.shape[:1] or not len(logits):
         what = f"boxes {tuple(boxes.shape)} and logits {tuple(logits.shape)}, not (A, 7) and (A,)"
         raise InputError(what, where, _GUIDE)
+    boxes = boxes.detach().float()
     if not bool(torch.isfinite(boxes).all() & torch.isfinite(logits).all()) or not bool((boxes[:, 3:6] > 0).all()):
         raise InputError("boxes without a size, or NaN or infinity in its answer", where, "Repair the model")
     return boxes, logits
@@ -200,7 +203,7 @@ def _clear_errors(where: str) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         places = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
         if isinstance(error, SyntaxError) and error.filename:
             places.append((error.filename, error.lineno))

@@ -162,6 +162,21 @@ def test_numpy_arrays_are_boxes_and_scores_without_a_gradient(tmp_path: Path) ->
     assert detector.detect(at).scores.tolist() == pytest.approx([0.95, 0.5])
 
 
+@pytest.mark.parametrize("answer", ["moved.sum()[None] / 1e6 - 1", "torch.sigmoid(moved.sum()[None]).numpy()"])
+def test_points_that_a_model_moves_in_place_are_its_own(tmp_path: Path, answer: str) -> None:
+    """Models often begin with the height of their sensor; the scene, and the next detector, keep their points."""
+    path, at = tmp_path / "mine.py", points(3000)
+    box = f"{BOX}.numpy()" if "numpy" in answer else BOX
+    path.write_text(
+        f"{HEAD}def detect(moved):\n    moved[:, 2] -= 1.7\n    return {box}, {answer}\n"
+        "def load(weights):\n    return detect\n"
+    )
+    detector, before = load_user_detector(path, None), at.clone()
+    with torch.no_grad():
+        detector.proposals(at)
+    assert torch.equal(at, before)
+
+
 def test_the_guides_program_is_asked_for_boxes(tmp_path: Path) -> None:
     """The program returns one box at the first point, with the number of points over 10,000 as its score."""
     program, path = tmp_path / "detect", tmp_path / "mine.py"
@@ -200,12 +215,15 @@ def body(answer: str, before: str = "") -> str:
         (body("(np.ones((2, 7)), np.ones(1))", NUMPY), r"scores \(1,\)"),
         (body("(np.ones((1, 7)), np.full(1, 2.5))", NUMPY), r"scores reach from 2\.5 .*Return probabilities"),
         (body("(np.ones((1, 7)), np.full(1, np.nan))", NUMPY), r"NaN or infinity"),
+        (body("(np.full((1, 7), 1e300), np.ones(1))", NUMPY), r"NaN or infinity"),
         (body("(np.ones((1, 7)), np.random.rand(1))", NUMPY), r"two calls with the same points differ"),
         (body("(np.ones((1, 7)), np.array(['a']))", NUMPY), r"mine\.py: ValueError"),
         (body("(np.ones((1, 7)), np.ones(1)) if len(points) > 1500 else None", NUMPY), r"for some points only"),
         (body(f"({BOX}[:, :6], points.sum()[None])"), r"boxes \(1, 6\)"),
         (body(f"({BOX}, points.sum())"), r"logits \(\)"),
         (body(f"({BOX} * 0, points.sum()[None])"), r"boxes without a size"),
+        (body(f"({BOX}.double() * 1e300, points.sum()[None])"), r"NaN or infinity"),
+        (body(f"({BOX}, exit(2))"), r"mine\.py, line 5: SystemExit: 2"),
         (body(f"({BOX}, points.sum()[None] / 0)"), r"NaN or infinity"),
         (body(f"({BOX}, points.detach().sum()[None])"), r"do not depend on the points differentiably"),
         (body(f"({BOX}, torch.rand(1) * points.sum()[None])"), r"two calls with the same points differ"),
