@@ -57,4 +57,4 @@ class RowsByTask:
 
 def _row_groups(source: Any, groups: range) -> pa.Table:
     with pq.ParquetFile(source, page_checksum_verification=True) as file:
-        return file.read_row_groups(list(groups))
+        return file.read_row_groups(list(groups), use_threads=False)

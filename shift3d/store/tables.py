@@ -74,12 +74,18 @@ def parquet_bytes(table: pa.Table, **options: Any) -> bytes:
     return content
 
 
-def _whole(source: Any) -> pa.Table:
-    return pq.read_table(source, partitioning=None, page_checksum_verification=True)
+def parquet_table(source: Any, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read columns of a Parquet file, all by default. source: path, or pyarrow's reader of bytes.
+
+    Bytes are read in one thread: threads of pyarrow keep references to them for a while, and a program that ends in
+    the meantime aborts. `pq.read_table` reads ahead in such threads, also with ``use_threads=False``.
+    """
+    with pq.ParquetFile(source, page_checksum_verification=True) as file:
+        return file.read(columns, use_threads=not isinstance(source, pa.NativeFile))
 
 
 def read_table(
-    path: LocationLike, name: str, content: bytes | None = None, read: Callable[[Any], pa.Table] = _whole
+    path: LocationLike, name: str, content: bytes | None = None, read: Callable[[Any], pa.Table] = parquet_table
 ) -> pa.Table:
     """Read a Parquet file, migrate it to `SCHEMA_VERSION`, and check that it has the schema ``name``.
 
@@ -104,7 +110,7 @@ def read_final(folder: LocationLike, name: str) -> pa.Table:
 
 
 def read_parquet(
-    path: LocationLike, remedy: str, content: bytes | None = None, read: Callable[[Any], pa.Table] = _whole
+    path: LocationLike, remedy: str, content: bytes | None = None, read: Callable[[Any], pa.Table] = parquet_table
 ) -> tuple[pa.Table, str, str]:
     """Read a Parquet file of shift3d. Return the table, and the schema name and version from its metadata.
 

@@ -33,7 +33,7 @@ def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
         if missing:
             raise InputError(f"no column {missing[0]}", str(file), "Give the data set's own file")
         handle.seek(0)
-        table = feather.read_table(handle, columns=list(columns), memory_map=False)
+        table = feather.read_table(handle, columns=list(columns), memory_map=False, use_threads=False)
         table.validate(full=True)  # its texts may not be UTF-8
     if not table.num_rows:
         raise InputError("the table has no rows", str(file), f"{_AGAIN}, or leave it out")

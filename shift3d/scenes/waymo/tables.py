@@ -39,7 +39,7 @@ class Component:
         Raises InputError: the file cannot be read, or has no rows.
         """
         with self._opened((SEGMENT, FRAME)) as parquet:
-            keys = self._checked(parquet.read(columns=[SEGMENT, FRAME]))
+            keys = self._checked(parquet.read(columns=[SEGMENT, FRAME], use_threads=False))
         if not keys.num_rows:
             raise InputError("the table has no rows", str(self.file), f"{_AGAIN}, or remove the segment")
         return [int(value) for value in np.unique(_integers(keys[FRAME], self.file))]
@@ -55,14 +55,17 @@ class Component:
             if not parquet.metadata.num_rows:
                 raise InputError("the table has no rows", str(self.file), _AGAIN)
             if timestamp is None:
-                return self._checked(parquet.read(columns=wanted))
+                return self._checked(parquet.read(columns=wanted, use_threads=False))
             groups = [_rows_at(parquet, group, timestamp, wanted) for group in range(parquet.num_row_groups)]
             schema = pa.schema([parquet.schema_arrow.field(name) for name in wanted])
             return self._checked(pa.Table.from_batches(itertools.chain(*groups), schema=schema))
 
     @contextlib.contextmanager
     def _opened(self, columns: Sequence[str]) -> Iterator[pq.ParquetFile]:
-        """Open the file; errors while it is open become InputErrors of one line."""
+        """Open the file; errors while it is open become InputErrors of one line.
+
+        Read it in one thread, for the reason that `store.tables.parquet_table` gives.
+        """
         with opened(self.file, "Parquet file", pa.ArrowException) as handle:
             parquet = pq.ParquetFile(handle, buffer_size=_BUFFER_BYTES)
             missing = [name for name in columns if name not in parquet.schema_arrow.names]
@@ -81,12 +84,12 @@ class Component:
 
 def _rows_at(parquet: pq.ParquetFile, group: int, timestamp: int, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
     """Read the rows of one frame in a row group without holding the group: the keys are read first."""
-    keys = parquet.read_row_group(group, columns=[FRAME])[FRAME]
+    keys = parquet.read_row_group(group, columns=[FRAME], use_threads=False)[FRAME]
     rows = np.flatnonzero(np.asarray(keys.to_numpy()) == timestamp)
     if not len(rows):
         return
     start = 0
-    for batch in parquet.iter_batches(_ROWS_AT_ONCE, row_groups=[group], columns=list(columns)):
+    for batch in parquet.iter_batches(_ROWS_AT_ONCE, row_groups=[group], columns=list(columns), use_threads=False):
         inside = rows[(rows >= start) & (rows < start + batch.num_rows)] - start
         if len(inside):
             yield batch.select(list(columns)).take(pa.array(inside))

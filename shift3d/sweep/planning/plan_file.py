@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
-from shift3d.store.tables import parquet_bytes
+from shift3d.store.tables import parquet_bytes, parquet_table
 from shift3d.sweep.planning.task_ids import read_task_scene, read_template, task_ids, template_json
 from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.sweep.planning.tasks_builder import tasks_of
@@ -117,10 +117,10 @@ def read_tasks(content: bytes, where: str) -> Tasks:
         source = pa.BufferReader(content)
         names = pq.read_schema(source).names
         if "spec" in names:
-            return _whole_specs(pq.read_table(source, columns=["task_id", "spec", "assets", "effects_asked"]))
+            return _whole_specs(parquet_table(source, ["task_id", "spec", "assets", "effects_asked"]))
         former = "ground" in names
         columns = [name for name in names if _FORMER.get(name, name) in _READ]
-        table = pq.read_table(source, columns=columns, page_checksum_verification=True)
+        table = parquet_table(source, columns)
         return _tasks(table.rename_columns([_FORMER.get(name, name) for name in table.column_names]), former)
     except _DAMAGE as error:
         raise InputError(f"cannot be read ({error})", where=where, remedy="Restore it from a copy") from error
@@ -131,7 +131,7 @@ def stored_effect_requests(content: bytes, tasks: Tasks) -> tuple[str, ...]:
     try:
         source = pa.BufferReader(content)
         name = next(name for name in pq.read_schema(source).names if _FORMER.get(name, name) == "effects_requested")
-        column = pq.read_table(source, columns=[name])[name]
+        column = parquet_table(source, [name])[name]
         found = pc.binary_join(column.cast(pa.list_(pa.string())), "\n").combine_chunks()
     except (*_DAMAGE, StopIteration):
         return ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pytest
 from shift3d.errors import InputError
 from shift3d.store.migrations import current_table
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
-from shift3d.store.tables import read_parquet, read_table, table_from_rows, write_table
+from shift3d.store.tables import parquet_bytes, read_parquet, read_table, table_from_rows, write_table
 
 # Design section 5.
 CONTRACT = [
@@ -100,6 +101,15 @@ def test_pandas_polars_and_duckdb_read_it_and_the_version_is_there(tmp_path: Pat
     metadata = pq.read_schema(path).metadata
     assert metadata[b"shift3d.schema_version"] == str(SCHEMA_VERSION).encode()
     assert metadata[b"shift3d.schema"] == b"scores"
+
+
+def test_read_bytes_are_free_at_once(tmp_path: Path) -> None:
+    """A thread that holds them waits for the interpreter's lock, and the program aborts if it ends in the meantime."""
+    content = parquet_bytes(table_from_rows("scores", [score_row()] * 3))
+    owners = sys.getrefcount(content)
+    for _ in range(50):
+        assert read_parquet(tmp_path, "", content)[0].num_rows == 3
+        assert sys.getrefcount(content) == owners
 
 
 def test_another_table_and_a_torn_file_are_named(tmp_path: Path) -> None:

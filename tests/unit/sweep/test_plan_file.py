@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 
 import pandas as pd
@@ -18,7 +19,7 @@ from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import Plan, make_plan
-from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks
+from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks, stored_effect_requests
 
 WORDS = ["effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25"]
 
@@ -86,6 +87,16 @@ def test_tasks_that_are_missing_are_noticed(plan: Plan, tmp_path: Path) -> None:
     (tmp_path / "out" / "plan.parquet").write_bytes(plan_bytes(plan.tasks[1:]))
     with pytest.raises(InputError, match=r"spec\.yaml and plan\.parquet are not of one sweep"):
         read_plan(tmp_path / "out")
+
+
+def test_a_read_plan_keeps_no_thread_that_holds_its_bytes(plan: Plan) -> None:
+    """Such a thread waits for the interpreter's lock, and the program aborts if it ends in the meantime."""
+    content = plan_bytes(plan.tasks)
+    owners = sys.getrefcount(content)
+    for _ in range(50):
+        read_tasks(content, "plan.parquet")
+        stored_effect_requests(content, plan.tasks)
+        assert sys.getrefcount(content) == owners
 
 
 def test_the_files_of_earlier_programs_are_read(plan: Plan) -> None:
