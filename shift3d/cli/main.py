@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import io
 import os
 import sys
 import textwrap
@@ -103,10 +104,11 @@ def _refuse_option(parser: argparse.ArgumentParser, name: str | None, option: st
     parser.error(f"unknown option {option!r} of {name or 'shift3d'}. {hint}One of: {', '.join(known)}")
 
 
-def _open_standard_streams() -> None:
-    """Open /dev/null as each standard stream that the parent process closed.
+def _prepare_standard_streams() -> None:
+    """Open /dev/null as each standard stream that the parent process closed, and let stdout take any text.
 
-    Else the next file that the program opens gets the stream's number, and messages of libraries go into that file.
+    Else the next file that the program opens gets the stream's number, and messages of libraries go into that file. And
+    a path that the encoding of stdout lacks would end a command after its work.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -115,11 +117,13 @@ def _open_standard_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # gets the lowest free number: this one
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # as stderr
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code. An InputError becomes one line on stderr."""
-    _open_standard_streams()
+    _prepare_standard_streams()
     parsed = parse(arguments)
     if parsed.version:
         from shift3d.cli.version import version_lines

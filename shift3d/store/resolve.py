@@ -29,7 +29,7 @@ def as_location(place: LocationLike) -> Location:
         str(place).encode()
     except UnicodeEncodeError:
         what = "the name is not UTF-8: neither settings nor Parquet readers can hold it"
-        raise InputError(what, str(place), "Rename the folder") from None
+        raise InputError(what, str(place), "Rename the folder, or set LANG=C.UTF-8") from None
     if isinstance(place, str) and "://" in place:
         from shift3d.store.buckets.object_store import object_location  # late: folders need no obstore
 

@@ -132,6 +132,16 @@ def test_streams_that_the_parent_closed_are_dev_null(tmp_path: Path, closed: str
     assert done.returncode == 0 and int((tmp_path / "done").read_text()) > 2
 
 
+def test_a_path_that_the_terminal_cannot_show_is_printed_in_ascii(tmp_path: Path) -> None:
+    folder = tmp_path / "\u00f1 \u8eca"
+    command = [sys.executable, "-m", "shift3d", "fit", str(folder), "forward=+z", "unit=m", "out=x"]
+    code = f"from shift3d.cli.main import _prepare_standard_streams as p; p(); print({str(folder)!r})"
+    for words, stream in (([sys.executable, "-c", code], "stdout"), (command, "stderr")):
+        environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+        done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert r"\xf1 \u8eca" in getattr(done, stream) and "Traceback" not in done.stderr
+
+
 def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     assert "examples:" in capsys.readouterr().out
