@@ -158,10 +158,10 @@ def _judge_hits(case: Case, drawn: Rendering, outcome: Outcome) -> None:
 
 
 def _look_along(case: Case, drawn: Rendering, outcome: Outcome) -> None:
-    """Check if one beam's range is behind a place that is clearly inside the object."""
+    """Check if one beam's range is behind a place that is clearly inside the object, unless it starts inside."""
     row = case.number % 80  # of the rows about the object
     k, g = along_beam(case, row, _SPACING_M)
-    if len(k) == 0 or g[0] < 0:
+    if len(k) == 0 or g[0] < 0 or float(distance_m(case, np.zeros((1, 3)))[0]) < 0:
         return
     outcome.looked_along += 1
     deep = k[g < -_DEEP_M]

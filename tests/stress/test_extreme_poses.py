@@ -26,6 +26,12 @@ def test_forty_extreme_poses_and_codes_are_sound(outcomes: list[Outcome]) -> Non
     assert totals["beams_that_passed_a_surface"] == 0 < totals["beams_looked_along"]
 
 
+def test_a_beam_from_inside_the_object_passes_no_surface() -> None:
+    """The sensor of this case is 7 mm inside; the first sample of its beam is 13 mm away, outside."""
+    outcome = run_case(9681)
+    assert outcome.looked_along == outcome.passed == 0 < outcome.unresolved["sensor inside the object"]
+
+
 def test_a_case_follows_from_its_number() -> None:
     one, same, other = make_case(7), make_case(7), make_case(8)
     assert (one.theta == same.theta).all() and (one.code == same.code).all()
