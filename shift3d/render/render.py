@@ -31,7 +31,8 @@ def render(
 
     Args:
         beams: the scene's beams, scene frame.
-        field: signed distance in the vehicle's sdf frame, negative inside, in `settings.dtype`.
+        field: signed distance in the vehicle's sdf frame, negative inside, in `settings.dtype`. A decoder of less precision
+            leaves its own rounding in every hit: some 2e-7 m in float32.
         theta: (6,) x, y, z, yaw, pitch, roll of the object in the scene frame; metres, radians.
         vehicle: scale and axes of the sdf frame, size of the baseline.
         settings: every approximation.
@@ -39,8 +40,8 @@ def render(
         grid: `SdfGrid.of` this very field, for fields that are rendered often. Used by `sphere_tracing` alone.
     Returns: Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
     Raises:
-        InputError: the pose is not six finite numbers; the dtype cannot reach the tolerance on this vehicle; the field
-            of a decoder is less exact than `settings.dtype`; the vehicle does not fit into the paper's sphere.
+        InputError: the pose is not six finite numbers; the dtype cannot reach the tolerance on this vehicle; the
+            vehicle does not fit into the paper's sphere.
     Source: SHIFT3D, Object Rendering in LiDAR scene.
     """
     if theta.shape != (6,) or not bool(torch.isfinite(theta).all()):

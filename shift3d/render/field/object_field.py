@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.errors import InputError
 from shift3d.sdf.bfloat16 import Bfloat16Field
 from shift3d.sdf.field import Field as DecoderField
 from shift3d.sdf.linear_regions import LinearRegion
@@ -94,12 +93,7 @@ class ObjectField:
         """Build the field of a vehicle, evaluated in `dtype`, `batch` points at a time.
 
         bfloat16_band_m: `estimate` uses bfloat16 farther than this from the surface; 0: never.
-        Raises: InputError: a decoder's field of less precision than `dtype`, whose rounding no setting removes.
         """
-        if isinstance(sdf, DecoderField) and sdf.dtype.itemsize < dtype.itemsize:
-            own, wanted = (str(kind).removeprefix("torch.") for kind in (sdf.dtype, dtype))
-            remedy = f"Give the field of load_decoder().to(torch.{wanted}), with a code of that dtype"
-            raise InputError(f"the field is {own}, and the settings ask for {wanted}", "render settings", remedy)
         return ObjectField(
             sdf,
             float(vehicle.scale_m),

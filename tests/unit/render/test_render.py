@@ -11,8 +11,6 @@ from torch import Tensor
 from shift3d.errors import InputError
 from shift3d.geometry.se3 import object_from_scene, scene_from_object, scene_R_object
 from shift3d.render import Beams, RenderSettings, preset, render
-from shift3d.sdf.decoder import load_decoder
-from shift3d.vehicles.vehicle import baseline_vehicles
 
 EXACT = preset("reference").with_(step_m=0.02)
 PAPER = preset("paper").with_(dtype=torch.float64)
@@ -139,11 +137,3 @@ def test_unknown_presets_and_settings_are_refused() -> None:
         preset("fast")
     with pytest.raises(InputError, match="step_m"):
         RenderSettings(step_m=0.0)
-
-
-def test_a_decoder_less_exact_than_the_settings_is_refused() -> None:
-    """Its rounding would stay in every hit: 1.8e-7 m where the settings promise 1e-9."""
-    vehicle, decoder = baseline_vehicles()["suv"], load_decoder()
-    field = decoder.field(torch.from_numpy(vehicle.latent_code))
-    with pytest.raises(InputError, match=r"the field is float32, .* float64\. Give .*torch\.float64"):
-        render(fan(), field, THETA, vehicle, EXACT)
