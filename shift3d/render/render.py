@@ -31,8 +31,8 @@ def render(
 
     Args:
         beams: the scene's beams, scene frame.
-        field: signed distance in the vehicle's sdf frame, negative inside, in `settings.dtype`. A decoder of less precision
-            leaves its own rounding in every hit: some 2e-7 m in float32.
+        field: signed distance in the vehicle's sdf frame, negative inside, in `settings.dtype`. A decoder of less
+            precision leaves its own rounding in every hit: some 2e-7 m in float32.
         theta: (6,) x, y, z, yaw, pitch, roll of the object in the scene frame; metres, radians.
         vehicle: scale and axes of the sdf frame, size of the baseline.
         settings: every approximation.
