@@ -30,24 +30,24 @@ class EffectSettings:
     """
 
     def __init__(self, **values: float | None) -> None:
-        self._given = {name: value for name, value in values.items() if value is not None}
-        if unknown := sorted(self._given.keys() - set(EFFECT_SETTINGS)):
+        self._overrides = {name: value for name, value in values.items() if value is not None}
+        if unknown := sorted(self._overrides.keys() - set(EFFECT_SETTINGS)):
             raise InputError(f"no setting {unknown[0]}", "effects", f"Choose from {', '.join(EFFECT_SETTINGS)}")
         if not abs(self.object_speed_m_s) <= FASTEST_M_S:
             what = f"object_speed_m_s is {self.object_speed_m_s}"
             raise InputError(what, "effects", f"Give {-FASTEST_M_S:g} to {FASTEST_M_S:g}")
         # A scene has these bounds too; after the settings are applied it is not validated a second time.
-        _sensor(SensorModel(), self._given).validate("effects")
-        _weather(Conditions(weather_in_points=False), self._given, "").validate("effects")
+        _sensor(SensorModel(), self._overrides).validate("effects")
+        _weather(Conditions(weather_in_points=False), self._overrides, "").validate("effects")
 
     @property
     def object_speed_m_s(self) -> float:
         """Speed of the inserted object along its heading; 0 if it is not set."""
-        return self._given.get("object_speed_m_s", 0.0)
+        return self._overrides.get("object_speed_m_s", 0.0)
 
     def overrides(self) -> dict[str, float]:
         """Return the settings that are not None, by name."""
-        return dict(self._given)
+        return dict(self._overrides)
 
 
 _SENSOR = {part.name for part in fields(SensorModel)}

@@ -83,10 +83,10 @@ def input_words(
     if len(datasets) == 1 and not (dataset := next(iter(datasets))).startswith("street"):
         words.append(f"scenes={dataset} scenes.root=PATH")
     for detector in detectors if len(detectors) == 1 else ():
-        given = detector not in (ONNX, *FOREIGN) and any(one.detectors.get(detector) for one in assets)
+        own_weights = detector not in (ONNX, *FOREIGN) and any(one.detectors.get(detector) for one in assets)
         words += [f"detector={detector}"] if detector != _DEFAULT_DETECTOR else []
         words += [_FILES_OF[detector].format(search=search)] if detector in _FILES_OF else []
-        words += ["detector.weights=FILE"] if given else []
+        words += ["detector.weights=FILE"] if own_weights else []
     sets = {(str(one.vehicles["kind"]), one.vehicles["folder"]) for one in assets}
     if len(sets) == 1 and (own := next(iter(sets)))[1] is not None:
         words.append(_VEHICLES.get(own, f"vehicle={own[0]} vehicle.folder=PATH") + " vehicle.name=NAME")
