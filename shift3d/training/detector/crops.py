@@ -24,7 +24,6 @@ from shift3d.training.detector_scenes import MARGIN_M, TrainingScene
 Floats = npt.NDArray[np.float32]
 STRIDE = 4
 TRIES = 6
-RANDOM_CENTRE_M = 45.0
 LINE_SPACING_DEG = (0.25, 0.6)
 
 
@@ -97,12 +96,13 @@ def random_crop(
 
 
 def _centre(scene: TrainingScene, recipe: Recipe, rng: np.random.Generator) -> npt.NDArray[np.float64]:
-    """Draw a place, mostly near a vehicle, sometimes anywhere: crops without a vehicle teach the background."""
+    """Draw a place, mostly near a vehicle, sometimes anywhere up to the farthest range bin, to teach the background."""
     if rng.random() >= recipe.empty_share:
         vehicle = vehicle_centre(scene, recipe.augmentation.range_bins_m, recipe.min_points, rng)
         if vehicle is not None:
             return _near(vehicle, recipe, rng)
-    return rng.uniform(-RANDOM_CENTRE_M, RANDOM_CENTRE_M, 2)
+    farthest = recipe.augmentation.range_bins_m[-1]
+    return rng.uniform(-farthest, farthest, 2)
 
 
 def _near(place: npt.NDArray[np.float64], recipe: Recipe, rng: np.random.Generator) -> npt.NDArray[np.float64]:

@@ -128,3 +128,14 @@ def test_a_window_at_the_edge_of_the_grid_has_all_of_its_points(vehicle_x: float
         crop = random_crop(scene, WAYMO_GRID, recipe, np.random.default_rng(seed))
         _, _, seen = cells_of(torch.from_numpy(scene.points), WAYMO_GRID, crop.window)
         assert len(crop.points_inside(WAYMO_GRID)) == int(seen.sum())
+
+
+def test_crops_without_a_vehicle_lie_anywhere_up_to_the_farthest_range_bin() -> None:
+    ground = np.random.default_rng(0).uniform((-80, -80, 0), (80, 80, 0.02), (4000, 3)).astype(np.float32)
+    scene = TrainingScene(ground, np.zeros((0, 7), np.float32), 1.8)
+    recipe = Recipe(augmentation=replace(NONE, range_bins_m=(0.0, 60.0)), crop_cells=16)
+    rng = np.random.default_rng(0)
+    windows = [random_crop(scene, WAYMO_GRID, recipe, rng).window for _ in range(200)]
+    middles = np.array([[window.x0 + 8, window.y0 + 8] for window in windows]) * WAYMO_GRID.cell_m + WAYMO_GRID.x_min_m
+    assert 55.0 < np.abs(middles).max() < 61.0
+    assert np.percentile(np.abs(middles), 50) == pytest.approx(30.0, abs=3.0)

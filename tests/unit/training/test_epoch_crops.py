@@ -41,12 +41,15 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], list[Pa
 
 
 def taken(recipe: Recipe, files: tuple[list[Path], list[Path]], steps: int) -> list[float]:
-    """Return the length of the last box of every crop."""
+    """Return the length of the last box of every crop; that of a natural vehicle for a crop without a box."""
     crops = EpochCrops(recipe, WAYMO_GRID, *files, None)
     found = []
     for step in range(steps):
         for slot in range(recipe.batch):
             crop = crops.of(step, slot)
+            if not len(crop.boxes):
+                found.append(NATURAL_M)
+                continue
             (x, y), window = crop.boxes[-1, :2], crop.window
             if crop.boxes[-1, 3] > NATURAL_M:
                 side = WAYMO_GRID.cell_m
