@@ -153,9 +153,10 @@ def augment_vehicles(
     """Scale and stretch each vehicle with its points about the middle of its bottom face; drop returns of some."""
     points, boxes = points.copy(), boxes.copy()
     stays = np.ones(len(points), dtype=bool)
+    least, most = np.reshape(augmentation.object_stretch, (-1, 2)).T
     for row, inside in enumerate(points_in_boxes(points, boxes, MARGIN_M)):
         on_it, box = np.flatnonzero(inside), boxes[row].copy()
-        factor = rng.uniform(*augmentation.object_scale) * rng.uniform(*augmentation.object_stretch, 3)
+        factor = rng.uniform(*augmentation.object_scale) * rng.uniform(least, most, 3)
         bottom = np.array((box[0], box[1], box[2] - box[5] / 2), dtype=np.float32)
         cos, sin = np.cos(box[6]), np.sin(box[6])
         axes = np.array(((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0)))  # rows: length, width, height

@@ -24,9 +24,10 @@ class Augmentation:
 
     turn_rad, scale, flip: rotation about the sensor, global scaling, and the share of mirrored crops. object_scale:
     scaling of each vehicle about the middle of its bottom face; Source: random object scaling of ST3D (Yang et al.
-    2021), against a size prior. object_stretch: further factors of length, width and height, so that no proportion is
-    that of one family (our choice). shift_m: largest shift in x and y. ground_shift_m, ground_slope: height of the
-    nominal ground, and the largest slope of half of the crops; boxes stay on the visible ground.
+    2021), against a size prior. object_stretch: a range of further factors for length, width and height, or three
+    ranges in that order, so that no proportion is that of one family (our choice). shift_m: largest shift in x and y.
+    ground_shift_m, ground_slope: height of the nominal ground, and the largest slope of half of the crops; boxes stay
+    on the visible ground.
 
     kept_points: share of points kept, in half of the crops. dropped_lines: share of crops that lose whole scan lines.
     kept_line_in: range of n, where one line in n stays (or is dropped). range_noise_m: standard deviation along the
@@ -41,7 +42,7 @@ class Augmentation:
     flip: float = 0.5
     scale: Range = (0.95, 1.05)
     object_scale: Range = (0.92, 1.08)
-    object_stretch: Range = (1.0, 1.0)
+    object_stretch: tuple[float, ...] = (1.0, 1.0)
     shift_m: float = 0.3
     ground_shift_m: Range = (-0.2, 0.4)
     ground_slope: float = 0.015
@@ -56,11 +57,16 @@ class Augmentation:
 
     def validate(self, where: str) -> None:
         """Refuse empty ranges and shares outside [0, 1]. Raises: InputError naming the field."""
-        sizes = ("scale", "object_scale", "object_stretch")
+        sizes = ("scale", "object_scale")
         for name in ("turn_rad", *sizes, "ground_shift_m", "kept_points", "range_noise_m"):
             _check_range(name, getattr(self, name), where)
         for name in (*sizes, "kept_points"):
             _check(getattr(self, name)[0] > 0.0, name, getattr(self, name), where, "Give a range above 0")
+        stretch = self.object_stretch
+        _check(len(stretch) in (2, 6), "object_stretch", stretch, where, "Give one range, or one for each axis")
+        for row in range(0, len(stretch), 2):
+            _check_range("object_stretch", stretch[row : row + 2], where)
+        _check(min(stretch) > 0.0, "object_stretch", stretch, where, "Give ranges above 0")
         _check_range("kept_line_in", self.kept_line_in, where)
         _check(self.kept_line_in[0] >= 2, "kept_line_in", self.kept_line_in, where, "Give whole numbers from 2")
         _check_range("pasted_range", self.pasted_range, where)
@@ -187,6 +193,6 @@ def _check(holds: bool, name: str, value: object, where: str, remedy: str) -> No
         raise InputError(f"{name}={value}", where=where, remedy=remedy)
 
 
-def _check_range(name: str, value: tuple[float, float], where: str) -> None:
+def _check_range(name: str, value: tuple[float, ...], where: str) -> None:
     holds = len(value) == 2 and all(isfinite(end) for end in value) and value[0] <= value[1]
     _check(holds, name, value, where, "The range is empty: give LOW,HIGH with LOW <= HIGH")

@@ -77,6 +77,15 @@ def test_a_stretched_vehicle_keeps_its_heading_and_its_points_their_places_in_th
         assert np.allclose(shares(points[part], boxes[row]), shares(POINTS[part], BOXES[row]), atol=1e-4)
 
 
+def test_length_width_and_height_are_stretched_within_their_own_ranges() -> None:
+    own = replace(NONE, object_stretch=(0.8, 0.9, 1.0, 1.0, 1.1, 1.2))
+    rng = np.random.default_rng(0)
+    factors = np.concatenate([augment_vehicles(POINTS, BOXES, own, rng)[1][:, 3:6] for _ in range(50)])
+    factors /= np.tile(BOXES[:, 3:6], (50, 1))
+    assert np.allclose(factors.min(axis=0), (0.8, 1.0, 1.1), atol=0.01)
+    assert np.allclose(factors.max(axis=0), (0.9, 1.0, 1.2), atol=0.01)
+
+
 def test_dropped_scan_lines_are_whole() -> None:
     """Points are on lines of known elevation: a line is dropped or kept as a whole."""
     elevation = np.deg2rad(np.repeat(np.arange(-20, 2, 0.2), 50))
