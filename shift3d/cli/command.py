@@ -20,16 +20,16 @@ FINISHED_SWEEP_HELP = "output folder of a finished sweep"
 class Command:
     """One subcommand, defined in its own file.
 
-    summary: line in ``shift3d --help``. description, epilog: texts of the subcommand's ``--help``, examples last. run:
-    function from parsed arguments to an exit code; it imports heavy modules inside. out: help of the first argument, a
-    sweep's folder; empty: no folder. words, metavar, complete: help, metavar and completer of the words; empty help: no
-    words. options: function that adds further arguments. resumes: True if the same command resumes a stopped run.
+    summary: line in ``shift3d --help``. help: text of ``shift3d NAME --help``, normally the docstring of the file: a
+    description, then examples. run: function from parsed arguments to an exit code; it imports heavy modules inside.
+    out: help of the first argument, a sweep's folder; empty: no folder. words, metavar, complete: help, metavar and
+    completer of the words; empty help: no words. options: function that adds further arguments. resumes: True if the
+    same command resumes a stopped run.
     """
 
     name: str
     summary: str
-    description: str
-    epilog: str
+    help: str | None
     run: Callable[[argparse.Namespace], int]
     out: str = ""
     words: str = ""
@@ -37,6 +37,16 @@ class Command:
     complete: Callable[..., list[str]] | None = None
     options: Callable[[argparse.ArgumentParser], object] | None = None
     resumes: bool = False
+
+    @property
+    def description(self) -> str:
+        """Part of the help before the arguments."""
+        return (self.help or "").partition("\n\nexample")[0]
+
+    @property
+    def epilog(self) -> str:
+        """Part of the help after the arguments, from the examples on."""
+        return (self.help or "").removeprefix(self.description).lstrip()
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the command's arguments and their completers to a parser."""

@@ -1,4 +1,12 @@
-"""``shift3d compact``: merge the many small files of a sweep into few."""
+"""\
+Merges the commit log of a sweep into one entry and its segments into one file per table, so that commands read them
+faster. Results and final tables do not change, and the sweep still resumes. The command stops a running driver within
+seconds; the sweep's command resumes the sweep. A kill at any moment leaves a readable folder: run the command again.
+
+examples:
+  shift3d compact outputs/default-1a2b3c4d5e6f7a8b --dry-run
+  shift3d compact outputs/default-1a2b3c4d5e6f7a8b
+  shift3d compact s3://bucket/runs/kitti"""
 
 from __future__ import annotations
 
@@ -7,17 +15,6 @@ import argparse
 from shift3d.cli.command import Command
 from shift3d.cli.commands.gc import OUT, dry_run, sweep_and_follow_up_folders
 from shift3d.wording import counted
-
-_DESCRIPTION = """\
-Merges the commit log of a sweep into one entry and its segments into one file per table, so that commands read them
-faster. Results and final tables do not change, and the sweep still resumes. The command stops a running driver within
-seconds; the sweep's command resumes the sweep. A kill at any moment leaves a readable folder: run the command again."""
-
-_EPILOG = """\
-examples:
-  shift3d compact outputs/default-1a2b3c4d5e6f7a8b --dry-run
-  shift3d compact outputs/default-1a2b3c4d5e6f7a8b
-  shift3d compact s3://bucket/runs/kitti"""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -46,8 +43,7 @@ def _files(entries: int, segments: int) -> str:
 COMMAND = Command(
     "compact",
     "merge the many files of a sweep into a few",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     OUT,
     options=dry_run("merged", "merge"),

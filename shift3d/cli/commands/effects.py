@@ -1,4 +1,13 @@
-"""``shift3d effects``: measure the impact of each effect, from a sweep that ran with and without the effect."""
+"""\
+Measures how far each effect moves scores and how long it takes, from the tables of a sweep that ran the same tasks
+without effects and with one effect at a time (shift3d sweep effects). Prints the table and writes
+OUT/final/effects.html. --adopt also writes the numbers that effects=auto uses: effects=auto then leaves out an effect
+whose change of the score is below the bound with 95 % confidence, and the plan says so.
+
+examples:
+  shift3d sweep effects
+  shift3d effects outputs/effects-1a2b3c4d5e6f7a8b
+  shift3d effects outputs/effects-1a2b3c4d5e6f7a8b --times outputs/bench.json --adopt"""
 
 from __future__ import annotations
 
@@ -9,18 +18,6 @@ from pathlib import Path
 from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 from shift3d.errors import InputError
 from shift3d.wording import counted
-
-_DESCRIPTION = """\
-Measures how far each effect moves scores and how long it takes, from the tables of a sweep that ran the same tasks
-without effects and with one effect at a time (shift3d sweep effects). Prints the table and writes
-OUT/final/effects.html. --adopt also writes the numbers that effects=auto uses: effects=auto then leaves out an effect
-whose change of the score is below the bound with 95 % confidence, and the plan says so."""
-
-_EPILOG = """\
-examples:
-  shift3d sweep effects
-  shift3d effects outputs/effects-1a2b3c4d5e6f7a8b
-  shift3d effects outputs/effects-1a2b3c4d5e6f7a8b --times outputs/bench.json --adopt"""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -81,6 +78,4 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command(
-    "effects", "measure the impact of each effect", _DESCRIPTION, _EPILOG, _run, FINISHED_SWEEP_HELP, options=_options
-)
+COMMAND = Command("effects", "measure the impact of each effect", __doc__, _run, FINISHED_SWEEP_HELP, options=_options)

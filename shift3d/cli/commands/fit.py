@@ -19,14 +19,13 @@ if TYPE_CHECKING:
 
 _KEYS = ("out", "decoder", "steps", *FRAME_KEYS)
 
-_DESCRIPTION = """\
+_HELP = f"""\
 Finds the latent code whose decoded shape fits each mesh best, with the shipped decoder or decoder=FILE. Writes a
 vehicle set to out=: vehicles.safetensors, its decoder sdf.safetensors, sdf.json (the repairs, and the distance of each
 decoded shape from its mesh in centimetres) and pictures/ (each mesh beside its decoded shape). Warns if a mesh fits
 better in another orientation, and if a vehicle is far from its mesh (exit code 3). The same command resumes: DIR/kept
-holds every fitted or refused mesh, and vehicles.safetensors is written last."""
+holds every fitted or refused mesh, and vehicles.safetensors is written last.
 
-_EPILOG = f"""\
 examples:
   shift3d fit car.glb forward=+z unit=m out=outputs/my-car
   shift3d fit ShapeNetCore.v2/02958343 length_m=4.5 out=outputs/shapenet
@@ -74,8 +73,7 @@ def _doubts(fit: MeshFit, frame: MeshFrame, out: Path) -> list[str]:
 COMMAND = Command(
     "fit",
     "make vehicles from your own meshes",
-    _DESCRIPTION,
-    _EPILOG,
+    _HELP,
     _run,
     words=f"out=DIR decoder=FILE steps=N {'= '.join(FRAME_KEYS)}=",
     complete=key_words(_KEYS, FRAME_VALUES),

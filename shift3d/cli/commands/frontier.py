@@ -1,4 +1,21 @@
-"""``shift3d frontier``: measure run time against accuracy."""
+"""\
+Measures every setting of sweeps/accuracy_time.yaml on the same beams in one run: hits missed and misplaced, depth
+errors, errors of gradient and final score against the preset `reference`, and milliseconds. Writes frontier.parquet,
+report.html, frontier.png and advice.txt to outputs/frontier/ or out=DIR, and prints the table and the advice.
+
+The published method takes up to two minutes per rendering, the whole run at most 15 minutes on two idle cores.
+The same command, without --again, resumes: it skips what the same code measured on the same machine. The command uses
+one thread and measures the times of its own process: run nothing else on the machine.
+
+examples:
+  shift3d frontier                                    everything, on procedural streets
+  shift3d frontier kitti=PATH                         also on real frames (twice the time); PATH holds training/
+  shift3d frontier scenes=kitti scenes.root=PATH out=runs/frontier-kitti
+  shift3d frontier --quick                            three minutes: one far vehicle, eleven settings, up to 3 times
+  shift3d frontier --only 'standard|draft'            only these settings; no ratio to paper without paper
+  shift3d frontier 'frontier.cases=[{vehicle:suv,range_m:20}]' frontier.repeats=15 --again
+
+  python -c "import pandas; print(pandas.read_parquet('outputs/frontier/frontier.parquet'))\""""
 
 from __future__ import annotations
 
@@ -28,26 +45,6 @@ _NAME = "accuracy_time"
 _WINDOW_M = 12.0  # detector window of the ground truth: wider than the window of any setting, whole scenes excepted
 _KITTI_FRAMES = 30
 _QUICK_REPEATS = 3
-
-_DESCRIPTION = """\
-Measures every setting of sweeps/accuracy_time.yaml on the same beams in one run: hits missed and misplaced, depth
-errors, errors of gradient and final score against the preset `reference`, and milliseconds. Writes frontier.parquet,
-report.html, frontier.png and advice.txt to outputs/frontier/ or out=DIR, and prints the table and the advice.
-
-The published method takes up to two minutes per rendering, the whole run at most 15 minutes on two idle cores.
-The same command, without --again, resumes: it skips what the same code measured on the same machine. The command uses
-one thread and measures the times of its own process: run nothing else on the machine."""
-
-_EPILOG = """\
-examples:
-  shift3d frontier                                    everything, on procedural streets
-  shift3d frontier kitti=PATH                         also on real frames (twice the time); PATH holds training/
-  shift3d frontier scenes=kitti scenes.root=PATH out=runs/frontier-kitti
-  shift3d frontier --quick                            three minutes: one far vehicle, eleven settings, up to 3 times
-  shift3d frontier --only 'standard|draft'            only these settings; no ratio to paper without paper
-  shift3d frontier 'frontier.cases=[{vehicle:suv,range_m:20}]' frontier.repeats=15 --again
-
-  python -c "import pandas; print(pandas.read_parquet('outputs/frontier/frontier.parquet'))\""""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -239,8 +236,7 @@ def _measure(config: FrontierSweepConfig, plan: FrontierPlan, folder: Path, agai
 COMMAND = Command(
     "frontier",
     "measure accuracy against run time",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     words="overrides, kitti=PATH, and out=DIR (output folder)",
     complete=key_words(("kitti",), more=overrides),

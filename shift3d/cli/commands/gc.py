@@ -1,4 +1,12 @@
-"""``shift3d gc``: remove files of a sweep's folder that no reader uses."""
+"""\
+Removes the files that killed drivers left in a sweep's folder (or s3://, gs://): segments that the commit log does not
+name, log entries that a compaction replaced, and temporary files. Safe while the sweep runs: the command never touches
+files of the driver that may be running. It keeps and lists files that shift3d did not write.
+
+examples:
+  shift3d gc outputs/default-1a2b3c4d5e6f7a8b --dry-run    show what would be removed
+  shift3d gc outputs/default-1a2b3c4d5e6f7a8b
+  shift3d gc s3://bucket/runs/kitti"""
 
 from __future__ import annotations
 
@@ -12,16 +20,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.store.location import Location
 
-_DESCRIPTION = """\
-Removes the files that killed drivers left in a sweep's folder (or s3://, gs://): segments that the commit log does not
-name, log entries that a compaction replaced, and temporary files. Safe while the sweep runs: the command never touches
-files of the driver that may be running. It keeps and lists files that shift3d did not write."""
-
-_EPILOG = """\
-examples:
-  shift3d gc outputs/default-1a2b3c4d5e6f7a8b --dry-run    show what would be removed
-  shift3d gc outputs/default-1a2b3c4d5e6f7a8b
-  shift3d gc s3://bucket/runs/kitti"""
 _SHOWN = 20
 OUT = "output folder of a sweep, or its URL"
 
@@ -70,8 +68,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "gc",
     "remove the files that killed drivers left",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     OUT,
     options=dry_run("removed", "remove"),

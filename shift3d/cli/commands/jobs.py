@@ -1,4 +1,12 @@
-"""``shift3d jobs``: list the launch specs, or print one."""
+"""\
+Lists the launch specs: files that start a sweep on this machine, a Ray cluster, Kubernetes, Slurm or AWS, or a gate in
+CI. NAME prints one of them; its first lines explain its use. Launch specs in jobs/ of the current folder come first.
+
+examples:
+  shift3d jobs                              the launch specs and their paths
+  shift3d jobs kuberay > kuberay.yaml       a copy to fill in
+  shift3d jobs slurm > slurm.sbatch && sbatch --nodes=4 slurm.sbatch default out=/shared/FOLDER tracking=none
+  shift3d sweep default job=ray_cluster     job= accepts local, ray_cluster and ray_job by name"""
 
 from __future__ import annotations
 
@@ -9,17 +17,6 @@ from typing import Any
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
 from shift3d.settings.folders import files, searched_folders_text, shown
-
-_DESCRIPTION = """\
-Lists the launch specs: files that start a sweep on this machine, a Ray cluster, Kubernetes, Slurm or AWS, or a gate in
-CI. NAME prints one of them; its first lines explain its use. Launch specs in jobs/ of the current folder come first."""
-
-_EPILOG = """\
-examples:
-  shift3d jobs                              the launch specs and their paths
-  shift3d jobs kuberay > kuberay.yaml       a copy to fill in
-  shift3d jobs slurm > slurm.sbatch && sbatch --nodes=4 slurm.sbatch default out=/shared/FOLDER tracking=none
-  shift3d sweep default job=ray_cluster     job= accepts local, ray_cluster and ray_job by name"""
 
 
 def _names(prefix: str = "", **_: Any) -> list[str]:
@@ -55,4 +52,4 @@ def _summary(path: Path) -> str:
     return comment.removeprefix("# ").split(". ")[0]
 
 
-COMMAND = Command("jobs", "list the launch specs, or print one", _DESCRIPTION, _EPILOG, _run, options=_options)
+COMMAND = Command("jobs", "list the launch specs, or print one", __doc__, _run, options=_options)

@@ -1,4 +1,18 @@
-"""``shift3d plan``: show the tasks that a sweep would run."""
+"""\
+Prints the number of tasks of a sweep, the effects that its scenes need with the cost of each, and the expected run
+time. --tasks lists every task in order with its id. --places counts the places for a car in each scene, and the reasons
+against the other places. Runs nothing. The same as: shift3d sweep plan.
+
+The expected time of a task comes from the tasks that ran in timings=OUT, else in the sweep's own folder, else in
+reuse=OUT; without any of these, from the shipped times. Tasks that the sweep's folder or reuse=OUT holds as
+done do not count.
+
+Task ids and the folder's name depend on the content of the scenes. If the plan would have to generate many streets for
+these alone, it leaves them out; --tasks, reuse= and the sweep itself generate the streets and cache the result.
+
+examples:
+  shift3d plan default vehicle=suv scenes.count=2 --tasks
+  shift3d plan default scenes.count=500 timings=outputs/default-1a2b3c4d runner.workers=64"""
 
 from __future__ import annotations
 
@@ -15,23 +29,6 @@ if TYPE_CHECKING:
     from shift3d.settings.schema.config import Config
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
-
-_DESCRIPTION = """\
-Prints the number of tasks of a sweep, the effects that its scenes need with the cost of each, and the expected run
-time. --tasks lists every task in order with its id. --places counts the places for a car in each scene, and the reasons
-against the other places. Runs nothing. The same as: shift3d sweep plan.
-
-The expected time of a task comes from the tasks that ran in timings=OUT, else in the sweep's own folder, else in
-reuse=OUT; without any of these, from the shipped times. Tasks that the sweep's folder or reuse=OUT holds as
-done do not count.
-
-Task ids and the folder's name depend on the content of the scenes. If the plan would have to generate many streets for
-these alone, it leaves them out; --tasks, reuse= and the sweep itself generate the streets and cache the result."""
-
-_EPILOG = """\
-examples:
-  shift3d plan default vehicle=suv scenes.count=2 --tasks
-  shift3d plan default scenes.count=500 timings=outputs/default-1a2b3c4d runner.workers=64"""
 
 
 def add_tasks(parser: argparse.ArgumentParser, when: str = "") -> None:
@@ -104,8 +101,7 @@ def show_places(plan: Plan, config: Config, most: int = 20) -> None:
 COMMAND = Command(
     "plan",
     "show what a sweep would run",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     words=sweep_arguments.SWEEP_WORDS,
     metavar=sweep_arguments.SWEEP_METAVAR,

@@ -1,24 +1,21 @@
-"""``shift3d report``: write the report page of a finished sweep."""
-
-from __future__ import annotations
-
-import argparse
-
-from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
-
-_DESCRIPTION = """\
+"""\
 Writes OUT/report.html, one self-contained page: the result in short, the hard cases in 3D, 50 solutions drawn at random
 over all tasks, AUC with bootstrap intervals beside the paper's, threshold-recall curves with bands, the places in the
 bird's-eye view where the score falls, paired tests, stability, accuracy against run time, effects, and the settings,
-cost and failures of the run."""
+cost and failures of the run.
 
-_EPILOG = """\
 examples:
   shift3d report outputs/default-1a2b3c4d5e6f7a8b
   shift3d report outputs/default-1a2b3c4d5e6f7a8b --cases 8
 
 The command renders the hard cases again and draws the random ones, which takes about a minute. Run shift3d verify first
 for the section on stability."""
+
+from __future__ import annotations
+
+import argparse
+
+from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -46,8 +43,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "report",
     "write the report page of a finished sweep",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     FINISHED_SWEEP_HELP,
     options=_options,

@@ -1,4 +1,16 @@
-"""``shift3d scenes``: list the scenes of a data set, or describe and draw one."""
+"""\
+list prints the names of the scenes that the settings select. show describes one of them (scene=NAME, else the first),
+counts the places for a car and the reasons against other places, and draws the scene from above and at an angle, with
+its labels and these places, into out=FILE.png.
+
+The words are those of a sweep, so that settings that work here work there: scenes=waymo|argoverse2|nuscenes|openpcdet|
+kitti|street, scenes.root=PATH, the other settings of the data set, and attack.placement.* (docs/guides/scenes.md).
+
+examples:
+  shift3d scenes list scenes=waymo scenes.root=PATH scenes.every=10
+  shift3d scenes list scenes=nuscenes scenes.root=s3://BUCKET/nuscenes scenes.version=v1.0-mini
+  shift3d scenes show scenes=argoverse2 scenes.root=PATH out=outputs/scene.png
+  shift3d scenes show scenes=openpcdet scenes.root=PATH scene=000008 scenes.sensor_m=[0,0,1.8]"""
 
 from __future__ import annotations
 
@@ -17,21 +29,6 @@ if TYPE_CHECKING:
 _ACTIONS = ("list", "show")
 _WORDS = ("scene=", "scenes=", "scenes.", "attack.placement.")
 _SWEEP = "retrieval"  # of the scene settings this sweep sets the group alone: conf/scenes gives the other defaults
-
-_DESCRIPTION = """\
-list prints the names of the scenes that the settings select. show describes one of them (scene=NAME, else the first),
-counts the places for a car and the reasons against other places, and draws the scene from above and at an angle, with
-its labels and these places, into out=FILE.png.
-
-The words are those of a sweep, so that settings that work here work there: scenes=waymo|argoverse2|nuscenes|openpcdet|
-kitti|street, scenes.root=PATH, the other settings of the data set, and attack.placement.* (docs/guides/scenes.md)."""
-
-_EPILOG = """\
-examples:
-  shift3d scenes list scenes=waymo scenes.root=PATH scenes.every=10
-  shift3d scenes list scenes=nuscenes scenes.root=s3://BUCKET/nuscenes scenes.version=v1.0-mini
-  shift3d scenes show scenes=argoverse2 scenes.root=PATH out=outputs/scene.png
-  shift3d scenes show scenes=openpcdet scenes.root=PATH scene=000008 scenes.sensor_m=[0,0,1.8]"""
 
 
 def scenes_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_: Any) -> list[str]:
@@ -123,8 +120,7 @@ def _show(config: Config, out: str | None) -> int:
 COMMAND = Command(
     "scenes",
     "list the scenes of a data set, or show one",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     words="list or show, then scenes=NAME scenes.root=PATH [scene=NAME] [out=FILE.png]",
     metavar="WORD",

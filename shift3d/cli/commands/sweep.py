@@ -1,4 +1,32 @@
-"""``shift3d sweep``: plan, run or resume a sweep, print its tables and mirror it to MLflow."""
+"""\
+Runs the sweep NAME (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
+or gs://BUCKET/PREFIX: workers then need no shared folder.
+The same command resumes: finished tasks do not run again.
+
+An override changes a setting (conf/ lists all settings) or selects an option of a group. Several values
+separated by commas are an axis: the sweep runs every task with each value.
+
+NAME is the file sweeps/NAME.yaml, an option vehicle=NAME of a group is conf/vehicle/NAME.yaml, and job=NAME is
+jobs/NAME.yaml. shift3d looks in the current folder first, then among its shipped files: your own file replaces a
+shipped file of the same name. A sweep of your own begins with `defaults: [/config, _self_]`, or with a shipped sweep in
+place of /config.
+
+examples:
+  shift3d sweep                                  5 vehicles x 4 streets x (shape, pose)
+  shift3d sweep default scenes.count=20          more streets
+  shift3d sweep default vehicle=suv mode=shape attack.lambda=0.1,1,10
+  shift3d sweep default accuracy=draft,standard  one more axis
+  shift3d sweep default detector=sst             attack SST; PointPillars scores the solutions as well
+  shift3d sweep kitti scenes.root=PATH out=runs/kitti
+  shift3d sweep kitti scenes.root=PATH scenes.skip_bad=true      skip the frames that cannot be read
+  shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
+  shift3d sweep default out=s3://bucket/runs/a runner.address=auto
+  shift3d sweep smoke runner=local tracking=none run in this process, write nothing but the folder
+  shift3d sweep default job=ray_cluster out=s3://BUCKET/FOLDER  run on a cluster, see shift3d jobs
+  shift3d sweep plan default scenes.count=20     show tasks, run time and core-hours; run nothing
+  shift3d sweep default scenes.count=20 reuse=outputs/default-1a2b3c4d   of a larger grid, run only the new tasks
+  shift3d sweep status outputs/default-1a2b3c4d  show the progress, from any shell or machine
+  shift3d sweep outputs/default-1a2b3c4d         resume it; --retry-quarantined also runs its quarantined tasks again"""
 
 from __future__ import annotations
 
@@ -23,37 +51,6 @@ if TYPE_CHECKING:
     from shift3d.sweep.drive import SweepResult
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
-
-_DESCRIPTION = """\
-Runs the sweep NAME (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
-or gs://BUCKET/PREFIX: workers then need no shared folder.
-The same command resumes: finished tasks do not run again.
-
-An override changes a setting (conf/ lists all settings) or selects an option of a group. Several values
-separated by commas are an axis: the sweep runs every task with each value.
-
-NAME is the file sweeps/NAME.yaml, an option vehicle=NAME of a group is conf/vehicle/NAME.yaml, and job=NAME is
-jobs/NAME.yaml. shift3d looks in the current folder first, then among its shipped files: your own file replaces a
-shipped file of the same name. A sweep of your own begins with `defaults: [/config, _self_]`, or with a shipped sweep in
-place of /config."""
-
-_EPILOG = """\
-examples:
-  shift3d sweep                                  5 vehicles x 4 streets x (shape, pose)
-  shift3d sweep default scenes.count=20          more streets
-  shift3d sweep default vehicle=suv mode=shape attack.lambda=0.1,1,10
-  shift3d sweep default accuracy=draft,standard  one more axis
-  shift3d sweep default detector=sst             attack SST; PointPillars scores the solutions as well
-  shift3d sweep kitti scenes.root=PATH out=runs/kitti
-  shift3d sweep kitti scenes.root=PATH scenes.skip_bad=true      skip the frames that cannot be read
-  shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
-  shift3d sweep default out=s3://bucket/runs/a runner.address=auto
-  shift3d sweep smoke runner=local tracking=none run in this process, write nothing but the folder
-  shift3d sweep default job=ray_cluster out=s3://BUCKET/FOLDER  run on a cluster, see shift3d jobs
-  shift3d sweep plan default scenes.count=20     show tasks, run time and core-hours; run nothing
-  shift3d sweep default scenes.count=20 reuse=outputs/default-1a2b3c4d   of a larger grid, run only the new tasks
-  shift3d sweep status outputs/default-1a2b3c4d  show the progress, from any shell or machine
-  shift3d sweep outputs/default-1a2b3c4d         resume it; --retry-quarantined also runs its quarantined tasks again"""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -238,8 +235,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
 COMMAND = Command(
     "sweep",
     "run or resume a sweep",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     words=SWEEP_WORDS,
     metavar=SWEEP_METAVAR,

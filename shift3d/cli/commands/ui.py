@@ -1,4 +1,8 @@
-"""``shift3d ui``: serve MLflow on the loopback address."""
+"""\
+Serves the MLflow runs of finished sweeps on 127.0.0.1: AUCs, settings and files side by side.
+
+example:
+  shift3d ui --port 5001"""
 
 from __future__ import annotations
 
@@ -35,8 +39,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "ui",
     "compare sweeps in MLflow, on loopback",
-    "Serves the MLflow runs of finished sweeps on 127.0.0.1: AUCs, settings and files side by side.",
-    "example:\n  shift3d ui --port 5001",
+    __doc__,
     _run,
     options=_options,
 )

@@ -36,7 +36,7 @@ def test_a_step_that_was_asked_to_stop_is_the_last_though_it_came_to_its_end(
                 os.kill(os.getpid(), signal.SIGTERM)
         return int(ExitCode.DONE)
 
-    step = PipelineStep(Command("sweep", "", "", "", run, words="words"), ["finetune"])
+    step = PipelineStep(Command("sweep", "", "", run, words="words"), ["finetune"])
     assert run_step(step) == (ExitCode.INTERRUPTED if stops else ExitCode.DONE)
     assert capsys.readouterr().out == "\n$ shift3d sweep finetune\n"
 

@@ -11,13 +11,12 @@ from shift3d.errors import InputError
 
 _KEYS = ("detector", "weights", "to")
 
-_DESCRIPTION = f"""\
+_HELP = f"""\
 Writes a detector of shift3d as an ONNX file. Input: points (N, 3), any N. Outputs: boxes (A, 7) and scores (A,), one
 per proposal, before suppression (docs/guides/detectors.md). First compares the scores of the file and of the detector
 on two streets, and writes nothing if they differ by more than 1e-3. {" and ".join(ONNX_EXPORTABLE)} can be compiled.
-Needs: pip install 'shift3d[onnx]'."""
+Needs: pip install 'shift3d[onnx]'.
 
-_EPILOG = """\
 examples:
   shift3d compile detector=pointpillars to=pointpillars.onnx
   shift3d compile detector=pointpillars weights=FILE.safetensors to=mine.onnx
@@ -50,8 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "compile",
     "write a detector as an ONNX file",
-    _DESCRIPTION,
-    _EPILOG,
+    _HELP,
     _run,
     words="detector=NAME to=FILE.onnx [weights=FILE]",
     complete=key_words(_KEYS, {"detector": ONNX_EXPORTABLE}),

@@ -1,4 +1,28 @@
-"""``shift3d evaluate``: measure the quality of detectors and of the shape model."""
+"""\
+Runs a detector once over scenes and computes every metric from its detections: AP and APH in bird's-eye view and 3D,
+by Waymo's definition (LEVEL_1, LEVEL_2, range bins) and KITTI's (40 recall positions; easy, moderate and hard if the
+labels have them), at IoU 0.7 and 0.5. Prints AP, APH, recall, heading flips and box errors with 95 % intervals (scenes
+resampled), then the same by range, heading, number of points and kind of vehicle. Writes a folder: metrics,
+breakdown, vehicles, curves, detections, truth and timings as Parquet (docs/why/models.md explains the rows),
+curves.png, spec.json.
+All files but timings have the same bytes for any number of workers. The same command resumes.
+A detector of your own is evaluated like any other. An AP near 0 may mean that its boxes are in another frame.
+
+model=sdf measures the shape model instead: its distance to vehicles of its training and to unseen vehicles.
+
+examples:
+  shift3d evaluate detector=pointpillars              200 held-out streets: 22 minutes on one core
+  shift3d evaluate detector=sst scenes=street count=20 workers=2
+  shift3d evaluate detector=pointpillars traffic=held_out   half of the vehicles are of kinds that training never sees
+  shift3d evaluate detector=pointpillars scenes=kitti root=PATH      PATH holds training/; cars in the image
+  shift3d evaluate detector=pointpillars weights=FILE scenes=kitti root=PATH out=DIR
+  shift3d evaluate detector=openpcdet weights=FILE.pth config=FILE.yaml scenes=kitti root=PATH
+  shift3d evaluate detector=own module=FILE.py scenes=kitti root=PATH
+  shift3d evaluate detector=own module=FILE.py scenes=openpcdet root=PATH     your own frames (docs/guides/scenes.md)
+  shift3d evaluate detector=onnx file=FILE.onnx count=20
+  shift3d evaluate model=sdf
+
+  python -c "import pandas; print(pandas.read_parquet('outputs/evaluate/NAME/metrics.parquet'))\""""
 
 from __future__ import annotations
 
@@ -31,33 +55,6 @@ _VALUES = {
 }
 
 _EXAMPLES = {"ground_z_m": "-1.8", "reflectance_max": "255"}
-
-_DESCRIPTION = """\
-Runs a detector once over scenes and computes every metric from its detections: AP and APH in bird's-eye view and 3D,
-by Waymo's definition (LEVEL_1, LEVEL_2, range bins) and KITTI's (40 recall positions; easy, moderate and hard if the
-labels have them), at IoU 0.7 and 0.5. Prints AP, APH, recall, heading flips and box errors with 95 % intervals (scenes
-resampled), then the same by range, heading, number of points and kind of vehicle. Writes a folder: metrics,
-breakdown, vehicles, curves, detections, truth and timings as Parquet (docs/why/models.md explains the rows),
-curves.png, spec.json.
-All files but timings have the same bytes for any number of workers. The same command resumes.
-A detector of your own is evaluated like any other. An AP near 0 may mean that its boxes are in another frame.
-
-model=sdf measures the shape model instead: its distance to vehicles of its training and to unseen vehicles."""
-
-_EPILOG = """\
-examples:
-  shift3d evaluate detector=pointpillars              200 held-out streets: 22 minutes on one core
-  shift3d evaluate detector=sst scenes=street count=20 workers=2
-  shift3d evaluate detector=pointpillars traffic=held_out   half of the vehicles are of kinds that training never sees
-  shift3d evaluate detector=pointpillars scenes=kitti root=PATH      PATH holds training/; cars in the image
-  shift3d evaluate detector=pointpillars weights=FILE scenes=kitti root=PATH out=DIR
-  shift3d evaluate detector=openpcdet weights=FILE.pth config=FILE.yaml scenes=kitti root=PATH
-  shift3d evaluate detector=own module=FILE.py scenes=kitti root=PATH
-  shift3d evaluate detector=own module=FILE.py scenes=openpcdet root=PATH     your own frames (docs/guides/scenes.md)
-  shift3d evaluate detector=onnx file=FILE.onnx count=20
-  shift3d evaluate model=sdf
-
-  python -c "import pandas; print(pandas.read_parquet('outputs/evaluate/NAME/metrics.parquet'))\""""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -117,8 +114,7 @@ def _position(text: str) -> list[float]:
 COMMAND = Command(
     "evaluate",
     "measure detectors and the shape model",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     words=f"detector=NAME {DETECTOR_HELP} [scenes=street|kitti|openpcdet] [count=N] [sensor= split= traffic=] "
     "[root=PATH] [sensor_m=[x,y,z]] [ground_z_m=Z] [reflectance_max=R] "

@@ -1,4 +1,30 @@
-"""``shift3d finetune``: attack a detector, fine-tune it on the objects found, and measure it on held-out scenes."""
+"""\
+Does a detector get better by training on the objects that fool it? The command attacks the detector on training streets
+(sweep finetune), verifies the solutions and fine-tunes the detector on the stable objects, once per seed. It measures
+the detector on held-out streets: on the same vehicles (finetune_held_out) and on other body types
+(finetune_other_vehicles), both attacked before and after the tuning, and on natural streets. It writes
+finetune.parquet, report.html and an MLflow run.
+
+The command runs other commands of shift3d and prints each of them first. The same command resumes: it skips finished
+steps.
+
+examples:
+  shift3d finetune size=small                  100 objects, 3 seeds: two hours on two cores
+  shift3d finetune                             the paper's size, 2,000 objects: days on two cores, or runner.address=
+  shift3d finetune --quick                     the same steps in a few minutes; its numbers mean nothing
+  shift3d finetune size=small control=true     also tunes a control model on the unchanged vehicles of the same tasks
+  shift3d finetune size=small rate=3e-6 adaptive=false    another rate: uses the objects found before, and does not
+                                               attack the tuned detector
+  shift3d finetune size=small detector=sst streets=20 others=camper,trailer
+  shift3d finetune --steps size=small          print the commands and run none
+
+rate=   peak learning rate                    streets= natural streets for AP (200; size=small: 50)
+seeds=  seeds of the tunings (0,1,2)          others=  vehicles of finetune_other_vehicles
+Other words are overrides of all three sweeps (vehicle= not of finetune_other_vehicles); held_out.KEY=VALUE is an
+override of the two sweeps over held-out streets only. Before anything runs, the command refuses held-out scenes that
+are also attacked for training.
+
+  python -c "import pandas; print(pandas.read_parquet('outputs/finetuning-HASH/finetune.parquet'))\""""
 
 from __future__ import annotations
 
@@ -26,34 +52,6 @@ if TYPE_CHECKING:
     from shift3d.finetuning.report import TunedModel
     from shift3d.settings.schema.config import Config
 
-_DESCRIPTION = """\
-Does a detector get better by training on the objects that fool it? The command attacks the detector on training streets
-(sweep finetune), verifies the solutions and fine-tunes the detector on the stable objects, once per seed. It measures
-the detector on held-out streets: on the same vehicles (finetune_held_out) and on other body types
-(finetune_other_vehicles), both attacked before and after the tuning, and on natural streets. It writes
-finetune.parquet, report.html and an MLflow run.
-
-The command runs other commands of shift3d and prints each of them first. The same command resumes: it skips finished
-steps."""
-
-_EPILOG = """\
-examples:
-  shift3d finetune size=small                  100 objects, 3 seeds: two hours on two cores
-  shift3d finetune                             the paper's size, 2,000 objects: days on two cores, or runner.address=
-  shift3d finetune --quick                     the same steps in a few minutes; its numbers mean nothing
-  shift3d finetune size=small control=true     also tunes a control model on the unchanged vehicles of the same tasks
-  shift3d finetune size=small rate=3e-6 adaptive=false    another rate: uses the objects found before, and does not
-                                               attack the tuned detector
-  shift3d finetune size=small detector=sst streets=20 others=camper,trailer
-  shift3d finetune --steps size=small          print the commands and run none
-
-rate=   peak learning rate                    streets= natural streets for AP (200; size=small: 50)
-seeds=  seeds of the tunings (0,1,2)          others=  vehicles of finetune_other_vehicles
-Other words are overrides of all three sweeps (vehicle= not of finetune_other_vehicles); held_out.KEY=VALUE is an
-override of the two sweeps over held-out streets only. Before anything runs, the command refuses held-out scenes that
-are also attacked for training.
-
-  python -c "import pandas; print(pandas.read_parquet('outputs/finetuning-HASH/finetune.parquet'))\""""
 
 _KEYS = ("out", "rate", "seeds", "streets", "others", "control", "adaptive")
 _FLAGS = {"control": False, "adaptive": True}
@@ -259,8 +257,7 @@ def steps_of(
 COMMAND = Command(
     "finetune",
     "fine-tune a detector on the objects that fool it, and measure it",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     words="keys below, and overrides of the sweeps",
     complete=key_words(_KEYS, more=overrides),

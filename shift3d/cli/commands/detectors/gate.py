@@ -1,4 +1,23 @@
-"""``shift3d gate``: compare new weights with the last release on a suite of hard objects."""
+"""\
+Scores weights on every object of a suite and compares them, object by object, with the last release of the same
+detector: recall and mean score, of hard objects and of controls. Ends with a verdict and an exit code: 0 no loss
+found, 6 worse. Writes gate.html (the objects that got worse, worst first, and the losses that the suite can show),
+gate.parquet, verdict.json and an MLflow run (mlflow=none: no run). The same command resumes a killed gate.
+
+examples:
+  shift3d gate suite=suites/first detector=pointpillars                      the shipped weights
+  shift3d gate suite=suites/first detector=pointpillars weights=FILE accept=true workers=2
+  shift3d gate suite=s3://BUCKET/suite detector=own module=FILE.py weights=FILE
+  shift3d gate suite=suites/first detector=openpcdet weights=FILE.pth config=FILE.yaml
+  shift3d gate suite=suites/first detector=onnx file=FILE.onnx name=NAME       the deployed model
+
+The last release is the last accepted one (in SUITE/releases or releases=DIR), else the weights of the suite's sweep.
+accept=true makes the weights the next release if nothing got worse, accept=anyway in any case. against=N compares with
+release N. name=NAME names the detector, so that detectors of one kind have separate releases; the default is the name
+of the file of module=, config= or file=. A score above score_threshold=0.3 is a detection. The weights are worse if a
+measure fell by tolerance=0.005 or more, and chance causes such a fall in at most level=0.05 of releases that are no
+worse. root=PATH is the data set of a suite with frames=referenced. jobs/gate_ci.yaml runs the gate in CI;
+docs/guides/gate.md says how many objects a suite needs."""
 
 from __future__ import annotations
 
@@ -17,28 +36,6 @@ KEYS = (
 )
 _VALUES = {"detector": (*DETECTOR_NAMES, *FOREIGN, OWN, ONNX), "accept": ("true", "anyway", "false")}
 _STORE = "sqlite:///mlflow.db"
-
-_DESCRIPTION = """\
-Scores weights on every object of a suite and compares them, object by object, with the last release of the same
-detector: recall and mean score, of hard objects and of controls. Ends with a verdict and an exit code: 0 no loss
-found, 6 worse. Writes gate.html (the objects that got worse, worst first, and the losses that the suite can show),
-gate.parquet, verdict.json and an MLflow run (mlflow=none: no run). The same command resumes a killed gate."""
-
-_EPILOG = """\
-examples:
-  shift3d gate suite=suites/first detector=pointpillars                      the shipped weights
-  shift3d gate suite=suites/first detector=pointpillars weights=FILE accept=true workers=2
-  shift3d gate suite=s3://BUCKET/suite detector=own module=FILE.py weights=FILE
-  shift3d gate suite=suites/first detector=openpcdet weights=FILE.pth config=FILE.yaml
-  shift3d gate suite=suites/first detector=onnx file=FILE.onnx name=NAME       the deployed model
-
-The last release is the last accepted one (in SUITE/releases or releases=DIR), else the weights of the suite's sweep.
-accept=true makes the weights the next release if nothing got worse, accept=anyway in any case. against=N compares with
-release N. name=NAME names the detector, so that detectors of one kind have separate releases; the default is the name
-of the file of module=, config= or file=. A score above score_threshold=0.3 is a detection. The weights are worse if a
-measure fell by tolerance=0.005 or more, and chance causes such a fall in at most level=0.05 of releases that are no
-worse. root=PATH is the data set of a suite with frames=referenced. jobs/gate_ci.yaml runs the gate in CI;
-docs/guides/gate.md says how many objects a suite needs."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -86,8 +83,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "gate",
     "compare new weights with the last release",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     words=f"suite=DIR detector=NAME {DETECTOR_HELP} [name=NAME] "
     "[accept=true] [against=N] [releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] "

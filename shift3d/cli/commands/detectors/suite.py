@@ -1,4 +1,17 @@
-"""``shift3d suite``: freeze hard objects of a sweep for gates."""
+"""\
+Freezes hard objects of a finished sweep in a folder or bucket: for each object its scene as detectors see it, its box,
+pose and latent code, and the scores that the sweep's detectors gave it. The unchanged vehicle of each task is its
+control. The manifest suite.json holds a digest of every file. shift3d gate scores new weights on the suite; it needs
+neither the sweep nor its renderer.
+
+examples:
+  shift3d suite outputs/default-1a2b3c4d5e6f7a8b to=suites/first
+  shift3d suite outputs/kitti-1a2b3c4d5e6f7a8b to=s3://BUCKET/suite count=1000 frames=referenced
+
+Defaults: method=adversarial count=500 choose=random seed=0 controls=true frames=copied. choose=hardest takes the lowest
+scores; some of them are low by chance and rise under any other weights. frames=referenced stores no scene, for data
+whose licence forbids copies: the gate reads the data set again (root=PATH if it has moved), or generates the streets
+again. The suite leaves out unstable solutions (run shift3d verify first) and unnatural shapes."""
 
 from __future__ import annotations
 
@@ -17,22 +30,6 @@ _VALUES = {
     "controls": ("true", "false"),
     "frames": ("copied", "referenced"),
 }
-
-_DESCRIPTION = """\
-Freezes hard objects of a finished sweep in a folder or bucket: for each object its scene as detectors see it, its box,
-pose and latent code, and the scores that the sweep's detectors gave it. The unchanged vehicle of each task is its
-control. The manifest suite.json holds a digest of every file. shift3d gate scores new weights on the suite; it needs
-neither the sweep nor its renderer."""
-
-_EPILOG = """\
-examples:
-  shift3d suite outputs/default-1a2b3c4d5e6f7a8b to=suites/first
-  shift3d suite outputs/kitti-1a2b3c4d5e6f7a8b to=s3://BUCKET/suite count=1000 frames=referenced
-
-Defaults: method=adversarial count=500 choose=random seed=0 controls=true frames=copied. choose=hardest takes the lowest
-scores; some of them are low by chance and rise under any other weights. frames=referenced stores no scene, for data
-whose licence forbids copies: the gate reads the data set again (root=PATH if it has moved), or generates the streets
-again. The suite leaves out unstable solutions (run shift3d verify first) and unnatural shapes."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -70,8 +67,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "suite",
     "freeze hard objects of a sweep for gates",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     FINISHED_SWEEP_HELP,
     "to=DIR [method=M] [count=N] [choose=random|hardest] [seed=N] [controls=false] [frames=referenced]",

@@ -216,8 +216,7 @@ def _train_on_meshes(values: dict[str, str]) -> int:
 COMMAND = Command(
     "train",
     "train the shipped weights or your own",
-    _DESCRIPTION,
-    _EPILOG,
+    f"{_DESCRIPTION}\n\n{_EPILOG}",
     _run,
     words=f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
     "[mlflow=URI|none]; "

@@ -16,13 +16,12 @@ if TYPE_CHECKING:
 _KEYS = ("task", "method", "replicate", "to", "overwrite")
 _VALUES = {"method": tuple(METHODS), "overwrite": ("true",)}
 
-_DESCRIPTION = """\
+_HELP = f"""\
 Writes one solution as files: the edited scene as KITTI scene.bin (points in the scene's order) and scene.ply, the mask
 of the beams that hit the vehicle as hit_mask.npy, the vehicle as object.ply (metres, sensor frame) and object.glb (its
 own frame, y up), boxes as box.json and boxes.json, and scene and boxes as a KITTI folder, kitti/training/ (velodyne,
-calib, label_2)."""
+calib, label_2).
 
-_EPILOG = f"""\
 example:
   shift3d export outputs/default-1a2b3c4d5e6f7a8b task=0f3a method=adversarial to=hard_case
 
@@ -78,8 +77,7 @@ def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[
 COMMAND = Command(
     "export",
     "write a solution's scene, mesh and box",
-    _DESCRIPTION,
-    _EPILOG,
+    _HELP,
     _run,
     FINISHED_SWEEP_HELP,
     "task=ID method=M to=DIR [replicate=N] [overwrite=true]",

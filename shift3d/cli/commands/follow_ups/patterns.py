@@ -1,4 +1,14 @@
-"""``shift3d patterns``: measure the changes of shape and pose by a sweep's attacks, in centimetres and degrees."""
+"""\
+Which changes of shape and pose do a sweep's attacks have in common? The command measures the mesh of every baseline and
+of every adversarial shape of a finished sweep like a data sheet: length, width, height, clearance, bonnet, windshield,
+overhangs. It prints the mean changes of these measures and of the poses with their intervals, and writes the measures
+to OUT/final/patterns.parquet; the report shows them. The same command resumes.
+
+examples:
+  shift3d patterns outputs/default-1a2b3c4d5e6f7a8b                 on Ray, like the sweep
+  shift3d patterns outputs/default-1a2b3c4d5e6f7a8b runner=local    in this process
+
+A mesh takes about a second."""
 
 from __future__ import annotations
 
@@ -9,19 +19,6 @@ from shift3d.cli.command import FINISHED_SWEEP_HELP, Command
 from shift3d.cli.outcomes import interrupted
 from shift3d.cli.sweep_arguments import RUNNER_ARGUMENT, compose_runner
 from shift3d.exit_codes import ExitCode
-
-_DESCRIPTION = """\
-Which changes of shape and pose do a sweep's attacks have in common? The command measures the mesh of every baseline and
-of every adversarial shape of a finished sweep like a data sheet: length, width, height, clearance, bonnet, windshield,
-overhangs. It prints the mean changes of these measures and of the poses with their intervals, and writes the measures
-to OUT/final/patterns.parquet; the report shows them. The same command resumes."""
-
-_EPILOG = """\
-examples:
-  shift3d patterns outputs/default-1a2b3c4d5e6f7a8b                 on Ray, like the sweep
-  shift3d patterns outputs/default-1a2b3c4d5e6f7a8b runner=local    in this process
-
-A mesh takes about a second."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -45,8 +42,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "patterns",
     "measure how a sweep's attacks change shapes and poses",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     FINISHED_SWEEP_HELP,
     *RUNNER_ARGUMENT,

@@ -1,4 +1,22 @@
-"""``shift3d retrieve``: find labelled vehicles of a log that resemble a sweep's shapes."""
+"""\
+Which labelled vehicles resemble the shapes that a sweep found, and does the detector miss them too? The command crops
+every labelled vehicle of a set of scenes and fits a shape to its points in the decoder's first 10 principal components.
+It puts the vehicle nearest to each adversarial shape in the place of that shape and scores it, as in the paper's
+supplement. It does the same with up to three controls: vehicles seen from a similar distance with a similar number of
+points. It writes the pool of vehicles to a separate folder, which other sweeps may use, and the result to OUT/final:
+vehicle_pool.parquet and retrieved.parquet. The report shows both. The same command resumes.
+
+examples:
+  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b                       vehicles of procedural streets (split val)
+  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b scenes.count=500      vehicles of more streets
+  shift3d retrieve outputs/kitti-1a2b3c4d5e6f7a8b scenes=kitti scenes.root=PATH    labelled cars of KITTI frames
+  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b runner=local          in this process
+
+The settings are those of sweeps/retrieval.yaml: the pool's scenes, the decoder (vehicle=), the detector that scores the
+pool's vehicles where the scenes have them, the runner. The same settings use the same pool again. pool=DIR names the
+pool's folder. The command refuses vehicles with fewer than 10 points and vehicles beyond the detector's grid. It flags
+vehicles seen from one side only, vehicles that do not fit their box, and shapes without a surface; it never retrieves a
+flagged vehicle."""
 
 from __future__ import annotations
 
@@ -13,27 +31,6 @@ from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.signals import received_signals
 from shift3d.wording import counted
-
-_DESCRIPTION = """\
-Which labelled vehicles resemble the shapes that a sweep found, and does the detector miss them too? The command crops
-every labelled vehicle of a set of scenes and fits a shape to its points in the decoder's first 10 principal components.
-It puts the vehicle nearest to each adversarial shape in the place of that shape and scores it, as in the paper's
-supplement. It does the same with up to three controls: vehicles seen from a similar distance with a similar number of
-points. It writes the pool of vehicles to a separate folder, which other sweeps may use, and the result to OUT/final:
-vehicle_pool.parquet and retrieved.parquet. The report shows both. The same command resumes."""
-
-_EPILOG = """\
-examples:
-  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b                       vehicles of procedural streets (split val)
-  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b scenes.count=500      vehicles of more streets
-  shift3d retrieve outputs/kitti-1a2b3c4d5e6f7a8b scenes=kitti scenes.root=PATH    labelled cars of KITTI frames
-  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b runner=local          in this process
-
-The settings are those of sweeps/retrieval.yaml: the pool's scenes, the decoder (vehicle=), the detector that scores the
-pool's vehicles where the scenes have them, the runner. The same settings use the same pool again. pool=DIR names the
-pool's folder. The command refuses vehicles with fewer than 10 points and vehicles beyond the detector's grid. It flags
-vehicles seen from one side only, vehicles that do not fit their box, and shapes without a surface; it never retrieves a
-flagged vehicle."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -81,8 +78,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "retrieve",
     "find labelled vehicles that resemble a sweep's shapes",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     FINISHED_SWEEP_HELP,
     "settings of sweeps/retrieval.yaml; pool=DIR",

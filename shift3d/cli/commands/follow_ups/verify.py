@@ -1,4 +1,17 @@
-"""``shift3d verify``: score the solutions of a finished sweep again, at reference accuracy."""
+"""\
+Checks that low scores are not numerical errors. Scores every solution of a finished sweep again: rendered exactly in
+float64, with new noise on the beams that hit the vehicle, and at poses slightly off its own. Writes the result to
+OUT/final: columns score_reference and stable of scores.parquet, all values in verification.parquet, and the page
+stability.html. The same command resumes. A sweep that runs again keeps its verification.
+
+examples:
+  shift3d verify outputs/default-1a2b3c4d5e6f7a8b                   on Ray, like the sweep
+  shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner=local      in this process
+  shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner.workers=2 runner.address=auto
+
+stable: score and margin to the baseline are within 0.02 of the reference's.
+robust: under every draw of noise and pose at least half of the margin remains, or at most 0.02 of score is lost.
+A solution takes about as long as twenty steps of its attack; the reference rendering takes more than half of that."""
 
 from __future__ import annotations
 
@@ -10,22 +23,6 @@ from shift3d.cli.outcomes import interrupted
 from shift3d.cli.sweep_arguments import RUNNER_ARGUMENT, compose_runner
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
-
-_DESCRIPTION = """\
-Checks that low scores are not numerical errors. Scores every solution of a finished sweep again: rendered exactly in
-float64, with new noise on the beams that hit the vehicle, and at poses slightly off its own. Writes the result to
-OUT/final: columns score_reference and stable of scores.parquet, all values in verification.parquet, and the page
-stability.html. The same command resumes. A sweep that runs again keeps its verification."""
-
-_EPILOG = """\
-examples:
-  shift3d verify outputs/default-1a2b3c4d5e6f7a8b                   on Ray, like the sweep
-  shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner=local      in this process
-  shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner.workers=2 runner.address=auto
-
-stable: score and margin to the baseline are within 0.02 of the reference's.
-robust: under every draw of noise and pose at least half of the margin remains, or at most 0.02 of score is lost.
-A solution takes about as long as twenty steps of its attack; the reference rendering takes more than half of that."""
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -60,8 +57,7 @@ def _run(arguments: argparse.Namespace) -> int:
 COMMAND = Command(
     "verify",
     "score a sweep's solutions again at reference accuracy",
-    _DESCRIPTION,
-    _EPILOG,
+    __doc__,
     _run,
     FINISHED_SWEEP_HELP,
     *RUNNER_ARGUMENT,
