@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -36,24 +37,6 @@ class TrueHits:
         return self.chord_m >= THICK_CHORD_M
 
 
-@dataclass(frozen=True)
-class RenderingErrors:
-    """Numbers of wrong beams, and the depth errors of hits on the right surface.
-
-    hits, thick_hits: true hits, and true hits with a chord of 2 cm or more. missed, missed_thick: true hits of either
-    kind that the rendering misses. wrong: hits more than 1 cm off the true range. false: hits of beams without a true
-    hit. depth_m: |depth error| of the remaining hits, metres.
-    """
-
-    hits: int
-    thick_hits: int
-    missed: int
-    missed_thick: int
-    wrong: int
-    false: int
-    depth_m: tuple[float, ...]
-
-
 def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
     """Measure the length of each ray inside the object behind its hit, by samples every 2 mm; at most 5 cm.
 
@@ -81,17 +64,22 @@ def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
     return length
 
 
-def compare(truth: TrueHits, rendering: Rendering) -> RenderingErrors:
-    """Compare a rendering with the ground truth of the same beams."""
+def compare(truth: TrueHits, rendering: Rendering) -> dict[str, Any]:
+    """Count the wrong beams of a rendering by the ground truth of the same beams, as plain values.
+
+    hits, thick_hits: true hits, and true hits with a chord of 2 cm or more. missed, missed_thick: true hits of either
+    kind that the rendering misses. wrong: hits more than 1 cm off the true range. false: hits of beams without a true
+    hit. depth_m: |depth error| of the remaining hits, metres.
+    """
     hit, found_m = rendering.hit_mask[truth.index], rendering.range_m[truth.index]
     depth = (found_m - truth.range_m).abs()
     wrong = hit & (depth > WRONG_SURFACE_M)
-    return RenderingErrors(
-        hits=len(truth.index),
-        thick_hits=int(truth.thick.sum()),
-        missed=int((~hit).sum()),
-        missed_thick=int((~hit & truth.thick).sum()),
-        wrong=int(wrong.sum()),
-        false=int(rendering.hit_mask.sum()) - int(hit.sum()),
-        depth_m=tuple(depth[hit & ~wrong].tolist()),
-    )
+    return {
+        "hits": len(truth.index),
+        "thick_hits": int(truth.thick.sum()),
+        "missed": int((~hit).sum()),
+        "missed_thick": int((~hit & truth.thick).sum()),
+        "wrong": int(wrong.sum()),
+        "false": int(rendering.hit_mask.sum()) - int(hit.sum()),
+        "depth_m": depth[hit & ~wrong].tolist(),
+    }

@@ -160,7 +160,7 @@ class CaseMeasurer:
         window_m = None if setting.crop_m is None else SCORE_RADIUS_M
         score = score_of(problem, detector, rendering, window_m, self.case.spec.attack.detection_radius_m)
         return {
-            **dataclasses.asdict(compare(self.truth.hits[shape], rendering)),
+            **compare(self.truth.hits[shape], rendering),
             "residual_m": self._residual(rendering, shape),
             "evaluations": rendering.evaluations,
             "ball_beams": len(near),
