@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from shift3d.analysis.cases.suite_views import view_of
 from shift3d.analysis.html.gate import gate_html
@@ -184,9 +184,8 @@ def _verdict(found: Comparison, sentence: str, facts: Mapping[str, str]) -> byte
         }
         for measure in found.measures
     ]
-    counts: dict[str, Any] = {
-        role: {name: getattr(found, name)(role) for name in ("number", "lost", "gained")}
-        for role in ("hard", "control")
+    counts = {
+        role: {name: found.counts(role)[name] for name in ("number", "lost", "gained")} for role in ("hard", "control")
     }
     values = {"worse": found.worse, "sentence": sentence, "measures": measures, "objects": counts}
     values |= {"detectable_loss": found.detectable, "facts": dict(facts)}

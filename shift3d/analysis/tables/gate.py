@@ -61,38 +61,31 @@ class Comparison:
         """True if any measure stops the release."""
         return any(measure.worse for measure in self.measures)
 
-    def lost(self, role: str) -> int:
-        """Count the objects of a role that were detected before and are not detected after."""
-        return int((self._of(role)["detected_before"] & ~self._of(role)["detected"]).sum())
-
-    def gained(self, role: str) -> int:
-        """Count the objects of a role that are detected after and were not detected before."""
-        return int((~self._of(role)["detected_before"] & self._of(role)["detected"]).sum())
-
-    def number(self, role: str) -> int:
-        """Count the objects of a role."""
-        return len(self._of(role))
-
-    def _of(self, role: str) -> pd.DataFrame:
-        return self.rows[self.rows["role"] == role]
+    def counts(self, role: str) -> dict[str, int]:
+        """Count the objects of a role: number, detected before, lost and gained since."""
+        rows = self.rows[self.rows["role"] == role]
+        before, after = rows["detected_before"], rows["detected"]
+        masks = {"number": before | True, "detected_before": before, "lost": before & ~after, "gained": ~before & after}
+        return {name: int(mask.sum()) for name, mask in masks.items()}
 
     @property
     def detectable(self) -> float | None:
         """Smallest loss of hard-object recall shown in 90 % of releases with the observed churn, or None."""
-        number = self.number("hard")
-        return detectable_loss(number, self.gained("hard") / number, _POWERS[1], self.rule.level / len(self.measures))
+        hard = self.counts("hard")
+        churn, level = hard["gained"] / hard["number"], self.rule.level / len(self.measures)
+        return detectable_loss(hard["number"], churn, _POWERS[1], level)
 
     def sentence(self, against: str) -> str:
         """Format the verdict. against: name of the release before."""
-        counts = f"{self.lost('hard')} hard objects lost, {self.gained('hard')} newly detected"
+        hard = self.counts("hard")
+        counts = f"{hard['lost']} hard objects lost, {hard['gained']} newly detected"
         if self.worse:
             worst = min((m for m in self.measures if m.worse), key=lambda measure: measure.p_value)
             return (
                 f"Worse than {against}: {worst.title} {worst.before:.3f} → {worst.after:.3f} "
                 f"(p = {worst.p_value:.4f}); {counts}."
             )
-        number, least = self.number("hard"), self.detectable
-        detected = int(self._of("hard")["detected_before"].sum())
+        number, detected, least = hard["number"], hard["detected_before"], self.detectable
         if least is None:
             shown = "the gate misses a loss of any size in more than one release of ten"
         elif least * number > detected:
