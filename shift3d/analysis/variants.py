@@ -49,6 +49,16 @@ def search_label(mode: str, search: str, weight: float, alpha: float, detector: 
     return f"{mode.replace('_', ' and ')}, {search}{shown}, alpha {alpha:g}, {detector}{named}"
 
 
+def with_search(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return rows with the column search_words: each row's search as `search_label` formats it.
+
+    Accuracy and effects are named if they differ among the rows.
+    """
+    keys = (rows[name] for name in ("mode", "search", "lambda", "alpha", "detector"))
+    settings = differing_settings(rows, ("accuracy", "effects"))
+    return rows.assign(search_words=[search_label(*row) for row in zip(*keys, settings)])
+
+
 def aucs_of_scores(rows: pd.DataFrame) -> Aucs:
     """Compute AUCs from the columns method, vehicle and score: an AUC equals the mean score exactly."""
     return _nested(rows.groupby(["method", "vehicle"], sort=False)["score"].mean().items())

@@ -10,10 +10,9 @@ import pandas as pd
 from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
-from shift3d.analysis.variants import differing_settings, search_label
+from shift3d.analysis.variants import with_search
 from shift3d.evaluation.failure_rules import aspect_deg
 
-_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings"]
 # Wording, unit and digits of each mesh measure.
 NAMES = {
     "length_cm": ("length", "cm", 0),
@@ -79,12 +78,11 @@ def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[s
         effects = scores.drop_duplicates("task_id").set_index("task_id")["effects"]
         patterns = patterns.assign(effects=[effects.get(task, ()) for task in patterns["task_id"]])
     for rows, changes in ((patterns, _shape_changes), (own[own["mode"] != "shape"], _pose_changes)):
-        rows = rows.assign(settings=differing_settings(rows, ("accuracy", "effects")))
-        for key, group in rows.groupby(_GROUP, sort=False, dropna=False):
+        for label, group in with_search(rows).groupby("search_words", sort=False):
             both = [group[group["method"] == method].set_index("task_id") for method in ("baseline", "adversarial")]
             before, after = (part.loc[both[0].index.intersection(both[1].index)] for part in both)
             if len(before):
-                found.setdefault(search_label(*key), []).extend(_patterns(changes(before, after), places_of(before)))
+                found.setdefault(str(label), []).extend(_patterns(changes(before, after), places_of(before)))
     return list(found.items())
 
 

@@ -11,12 +11,12 @@ import pandas as pd
 from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
-from shift3d.analysis.variants import differing_settings, search_label
+from shift3d.analysis.variants import with_search
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
 _POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
-_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings", "scored_by"]
+_GROUP = ["search_words", "scored_by"]
 _KEY = ["task_id", "scored_by"]
 
 
@@ -106,15 +106,10 @@ def retrieval_groups(retrieved: pd.DataFrame) -> list[NaturalKinGroup]:
 
     retrieved: the table of ``final/``, with `with_effects_requested` if effects may differ.
     """
-    retrieved = retrieved.explode("effects") if "effects" in retrieved else retrieved
-    retrieved = retrieved.assign(settings=differing_settings(retrieved, ("accuracy", "effects")))
-    solutions = retrieved[retrieved["role"] == "retrieved"]
-    counts = solutions.groupby(_GROUP, dropna=False).size()
-    found = []
-    for key, rows in kept(retrieved).groupby(_GROUP, sort=False, dropna=False):
-        *search, scored_by = key
-        found.append(NaturalKinGroup(search_label(*search), scored_by, rows, int(counts.loc[key])))
-    return found
+    retrieved = with_search(retrieved.explode("effects") if "effects" in retrieved else retrieved)
+    counts = retrieved[retrieved["role"] == "retrieved"].groupby(_GROUP).size()
+    groups = kept(retrieved).groupby(_GROUP, sort=False)
+    return [NaturalKinGroup(label, by, rows, int(counts.loc[label, by])) for (label, by), rows in groups]
 
 
 def retrieval_table(retrieved: pd.DataFrame) -> Table | None:

@@ -7,9 +7,7 @@ import pandas as pd
 from shift3d.analysis.results import PLACE, places_of, with_places
 from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
-from shift3d.analysis.variants import differing_settings, search_label
-
-_TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings", "scored_by"]
+from shift3d.analysis.variants import differing_settings, with_search
 
 
 def transfer_table(transfers: pd.DataFrame) -> Table | None:
@@ -21,16 +19,15 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
     placed = transfers[transfers["score"].notna()]
     if placed.empty:
         return None
-    placed = placed.assign(settings=differing_settings(placed, ("accuracy", "effects")))
-    placed = placed.assign(place=places_of(placed, scene="other_scene"), searched_in=places_of(placed))
+    placed = with_search(placed).assign(place=places_of(placed, scene="other_scene"), searched_in=places_of(placed))
     lines = []
-    for (*search, scored_by), rows in placed.groupby(_TRANSFER_GROUP, sort=False, dropna=False):
+    for (label, scored_by), rows in placed.groupby(["search_words", "scored_by"], sort=False):
         before = rows.assign(score=rows["score_baseline"])
         counts = [str(len(rows)), str(rows["place"].nunique())]
         means = [number(_vehicle_mean(part)) for part in (before, rows)]
         ratio = interval_text(ratio_interval(rows, before, "searched_in"), 2, "")
         fell = rows["score"] < rows["score_baseline"]
-        lines.append([search_label(*search), scored_by, *counts, *means, ratio, f"{fell.mean():.0%}"])
+        lines.append([label, scored_by, *counts, *means, ratio, f"{fell.mean():.0%}"])
     header = ["", "scored by", "placements", "scenes", "baseline", "shape", "ratio", "lower in"]
     return Table("Adversarial shapes in scenes other than those of their search", header, lines)
 
