@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from shift3d.analysis.html.blocks import Section
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
 
 _TEMPLATES = Environment(
     loader=PackageLoader("shift3d.analysis.html"),
@@ -25,3 +27,10 @@ def document(title: str, sections: Sequence[Section], lead: str = "", library: s
     """
     page = _TEMPLATES.get_template("page.html")
     return page.render(title=title, lead=lead, sections=sections, library=library) + "\n"
+
+
+def write_page(path: LocationLike, page: str) -> Location:
+    """Write a page atomically. Returns its path. Raises: InputError: the disk is full or not writable."""
+    location = as_location(path)
+    location.write_atomic(page.encode())
+    return location

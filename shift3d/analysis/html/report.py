@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from shift3d.analysis.cases.rendered import PageCache
 from shift3d.analysis.html.blocks import Block, Section
-from shift3d.analysis.html.document import document
+from shift3d.analysis.html.document import document, write_page
 from shift3d.analysis.html.figure import plotly_library
 from shift3d.analysis.html.sections.auc import auc, differences, sensors
 from shift3d.analysis.html.sections.bev import bev, transfer_grid
@@ -85,6 +85,4 @@ def write_report(folder: LocationLike, cases: int = 4) -> Location:
 
     Raises: InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
     """
-    path = as_location(folder) / "report.html"
-    path.write_atomic(report_page(read_sweep(folder), cases).encode())
-    return path
+    return write_page(as_location(folder) / "report.html", report_page(read_sweep(folder), cases))

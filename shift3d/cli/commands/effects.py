@@ -46,7 +46,7 @@ def _measured(path: Path) -> dict[str, float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.analysis.html.pages import write_effects_page
+    from shift3d.analysis.html.sections.effects import write_effects_page
     from shift3d.analysis.tables.effects import (
         LEAST_SCENES,
         effect_impacts,

@@ -204,7 +204,7 @@ def _measure(config: FrontierSweepConfig, plan: FrontierPlan, folder: Path, agai
     from shift3d.accuracy_time.drive import measure_frontier
     from shift3d.accuracy_time.rows import frontier_rows
     from shift3d.accuracy_time.timing import machine
-    from shift3d.analysis.html.pages import write_frontier_report
+    from shift3d.analysis.html.frontier import write_frontier_report
     from shift3d.store.frontier_table import frontier_table
     from shift3d.store.tables import write_table
 

@@ -195,7 +195,7 @@ def _show_effects(sweep: Sweep, folder: Location) -> None:
     variants = {request for group in sweep.plan.tasks.groups() for request in group.effects_requested}
     if "none" not in variants or len(variants) == 1:
         return
-    from shift3d.analysis.html.pages import write_effects_page
+    from shift3d.analysis.html.sections.effects import write_effects_page
     from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds, effect_table
 
     try:

@@ -20,7 +20,7 @@ from matplotlib.transforms import Bbox
 from shift3d.analysis.figures.labels import LABEL, LEADER
 from shift3d.analysis.figures.setting_marks import RING
 from shift3d.analysis.figures.work_precision import work_precision_figure
-from shift3d.analysis.html.pages import frontier_html, write_frontier_report
+from shift3d.analysis.html.frontier import frontier_html, write_frontier_report
 from shift3d.analysis.tables.accuracy.advice import advice
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import frontier_table

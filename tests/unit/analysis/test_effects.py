@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import valid_sweeps
 
-from shift3d.analysis.html.pages import write_effects_page
+from shift3d.analysis.html.sections.effects import write_effects_page
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds, effect_table, write_impact
 from shift3d.cli.main import main

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from shift3d.analysis.html.pages import write_stability_page
+from shift3d.analysis.html.sections.stability import write_stability_page
 from shift3d.analysis.tables.accuracy.cost import diagnostics
 from shift3d.analysis.tables.stability import stability_lines, stability_table
 from shift3d.store.schemas import POSE_COLUMNS

@@ -1,4 +1,4 @@
-"""Section of the measured impact of effects, for sweeps that ran with and without them."""
+"""Section and page of the measured impact of effects, for sweeps that ran with and without them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.sweep import effects_figure
-from shift3d.analysis.html.blocks import Block, Collapsible, Paragraph, Picture, Terms, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Paragraph, Picture, Section, Terms, missing
+from shift3d.analysis.html.document import document, write_page
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.effects import MEANINGS, EffectImpact, effect_impacts, effect_milliseconds, effect_table
 from shift3d.analysis.tables.table import number
 from shift3d.errors import InputError
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike
 
 
 def effects(sweep: Sweep) -> list[Block]:
@@ -19,10 +22,16 @@ def effects(sweep: Sweep) -> list[Block]:
         impacts = effect_impacts(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
     except InputError as error:
         return [missing(f"Not measured by this sweep: {error.what}. {error.remedy}.")]
-    return impact_blocks(impacts)
+    return _blocks(impacts)
 
 
-def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
+def write_effects_page(path: LocationLike, sweep: str, impacts: Sequence[EffectImpact]) -> Location:
+    """Write the page of the effects' impact atomically. Returns its path."""
+    section = Section("effects", "Impact and time", _blocks(impacts))
+    return write_page(path, document(f"Measured impact of effects: {sweep}", [section]))
+
+
+def _blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
     """Build figure, table and meanings of the columns."""
     each = [(impact.effect, impact.score_change.mean, number(impact.milliseconds, 0)) for impact in impacts]
     alt = "; ".join(f"{effect}: {change:.3f} for {spent} ms" for effect, change, spent in each)

@@ -1,4 +1,4 @@
-"""Sections about the stability and robustness of solutions, and about the sweep's accuracy and its cost."""
+"""Section and page of the stability and robustness of solutions, and section of the sweep's accuracy and its cost."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import pandas as pd
 
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.sweep import stability_figure
-from shift3d.analysis.html.blocks import Block, Collapsible, Heading, Items, Paragraph, Picture, Terms, missing
+from shift3d.analysis.html.blocks import Block, Collapsible, Heading, Items, Paragraph, Picture, Section, Terms, missing
+from shift3d.analysis.html.document import document, write_page
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_meanings, preset_table
 from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike
 from shift3d.wording import counted
 
 
@@ -33,10 +36,19 @@ def stability(sweep: Sweep) -> list[Block]:
         return [missing("No task has a solution.")]
     if sweep.verification is None or sweep.verification.empty:
         return [missing("Not verified. Run shift3d verify OUT to score every solution again at reference accuracy.")]
-    return stability_blocks(sweep.verification, shown=20)
+    return _blocks(sweep.verification, shown=20)
 
 
-def stability_blocks(verification: pd.DataFrame, shown: int | None) -> list[Block]:
+def write_stability_page(path: LocationLike, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
+    """Write the page of one sweep's stability, with every unstable solution; the same tables give the same bytes.
+
+    Raises: InputError: the disk is full or not writable.
+    """
+    section = Section("stability", "Solutions scored again", _blocks(verification, shown=None))
+    return write_page(path, document(f"Stability of {sweep}", [section], diagnostics(scores)))
+
+
+def _blocks(verification: pd.DataFrame, shown: int | None) -> list[Block]:
     """Build table, figure and list of unstable solutions. shown: maximum number to list; None: all."""
     unstable = int((~verification["stable"]).sum())
     listed: Block = Items(unstable_lines(verification, shown)) if unstable else Paragraph("None.")

@@ -26,7 +26,7 @@ from shift3d.wording import counted
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.analysis.html.pages import write_stability_page
+    from shift3d.analysis.html.sections.stability import write_stability_page
     from shift3d.analysis.results import with_effects_requested
     from shift3d.analysis.tables.accuracy.cost import diagnostics
     from shift3d.analysis.tables.stability import stability_lines

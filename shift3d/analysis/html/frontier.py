@@ -1,8 +1,8 @@
-"""Pages beside a sweep's report: accuracy against time, effects, and stability."""
+"""Page of a frontier: accuracy against time."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +12,11 @@ from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.work_precision import work_precision_figure
 from shift3d.analysis.html.blocks import Block, Paragraph, Picture, Section, Terms
 from shift3d.analysis.html.document import document
-from shift3d.analysis.html.sections.effects import impact_blocks
-from shift3d.analysis.html.sections.stability import stability_blocks
 from shift3d.analysis.tables.accuracy.advice import advice
-from shift3d.analysis.tables.accuracy.cost import diagnostics
 from shift3d.analysis.tables.accuracy.frontier import RULE, frontier_lines, meanings, measured_headers, settings_tables
-from shift3d.analysis.tables.effects import EffectImpact
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 from shift3d.store.frontier_table import machine_of, read_frontier
-from shift3d.store.location import Location
-from shift3d.store.resolve import LocationLike, as_location
 
 
 def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
@@ -62,26 +56,3 @@ def write_frontier_report(folder: Path) -> str:
     write_atomic(folder / "frontier.png", png(work_precision_figure(frame)))
     write_atomic(folder / "report.html", frontier_html(frame, machine_of(table)).encode())
     return f"{frontier_lines(frame)}\n\n{text}"
-
-
-def write_effects_page(path: LocationLike, sweep: str, impacts: Sequence[EffectImpact]) -> Location:
-    """Write the page of the effects' impact atomically. Returns its path."""
-    section = Section("effects", "Impact and time", impact_blocks(impacts))
-    return _written(path, f"Measured impact of effects: {sweep}", [section])
-
-
-def write_stability_page(path: LocationLike, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
-    """Write the page of one sweep's stability, with every unstable solution; the same tables give the same bytes.
-
-    Raises: InputError: the disk is full or not writable.
-    """
-    blocks = stability_blocks(verification, shown=None)
-    return _written(
-        path, f"Stability of {sweep}", [Section("stability", "Solutions scored again", blocks)], diagnostics(scores)
-    )
-
-
-def _written(path: LocationLike, title: str, sections: Sequence[Section], lead: str = "") -> Location:
-    location = as_location(path)
-    location.write_atomic(document(title, sections, lead).encode())
-    return location
