@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import WEATHER_FIELDS, Conditions, Labels, Scene
 from shift3d.scenes.sensor import SensorModel
 from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.build.layout import Layout, sample_layout
-from shift3d.scenes.street.build.pool import POOL_SIZES
 from shift3d.scenes.street.build.world import PlacedVehicle, World
 from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.scenes.street.raycast import Sweep
@@ -41,9 +39,9 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
     in their box. If the sensor moves, boxes and counts are those of time 0: points in the moving sensor's frame lie
     beside them.
 
-    Raises InputError: an unknown split or sensor, or held-out traffic on training streets. Source: our choice.
+    Raises InputError: held-out traffic on training streets. Source: our choice.
     """
-    sensor = _sensor(split, sensor_name)
+    sensor = SENSORS[sensor_name]
     parts = ("street-scene", split, seed, index, sensor_name)
     layout, world = _street(parts, sensor, options)
     seen_by = scanning_sensor(sensor, options)
@@ -71,7 +69,7 @@ def street_vehicles(
 ) -> tuple[PlacedVehicle, ...]:
     """Return all vehicles of `street_scene` with their meshes, hit or not: the ground truth behind labels."""
     parts = ("street-scene", split, seed, index, sensor_name)
-    return _street(parts, _sensor(split, sensor_name), options)[1].vehicles
+    return _street(parts, SENSORS[sensor_name], options)[1].vehicles
 
 
 def _street(parts: tuple[str | int, ...], sensor: Sensor, options: StreetOptions) -> tuple[Layout, World]:
@@ -83,14 +81,6 @@ def _street(parts: tuple[str | int, ...], sensor: Sensor, options: StreetOptions
 def scanning_sensor(sensor: Sensor, options: StreetOptions) -> Sensor:
     """Return the sensor that scans a sensor's street, at the same height."""
     return sensor if options.beams is None else replace(BEAMS[options.beams], mount_height_m=sensor.mount_height_m)
-
-
-def _sensor(split: str, sensor_name: str) -> Sensor:
-    if split not in POOL_SIZES:
-        raise InputError(f"unknown split {split!r}", "street", f"Choose from {', '.join(POOL_SIZES)}.")
-    if sensor_name not in SENSORS:
-        raise InputError(f"unknown sensor {sensor_name!r}", "street", f"Choose from {', '.join(SENSORS)}.")
-    return SENSORS[sensor_name]
 
 
 def _sense(
