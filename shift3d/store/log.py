@@ -92,8 +92,9 @@ class CommitLog:
 
         Raises:
             TakenOverError: another driver wrote this entry; the rows are not part of the sweep.
-            InputError: the disk is full; no half-written file counts.
+            InputError: the disk is full, or the folder is gone; no half-written file counts.
         """
+        self.check_there()
         written = {name: self._write(name, table) for name, table in tables.items() if table.num_rows}
         return self._append("commit", done, quarantined, written)
 
@@ -147,6 +148,16 @@ class CommitLog:
             raise self._taken_over(path)
         self._take(entry_of(values, sequence))
         return self.entries[-1]
+
+    def check_there(self) -> None:
+        """Raise InputError if the folder has lost this log: a write would create it again, without earlier entries.
+
+        Another driver's compaction may have removed the first entry, but has added the next one.
+        """
+        log, first = self.folder / "_log", self.entries[0].sequence
+        if not any((log / entry_name(sequence)).is_file() for sequence in (first, self._next)):
+            what = f"was removed, renamed or unmounted during the sweep: {entry_name(first)} is gone"
+            raise InputError(what, str(log), "Bring the folder back and run the same command again: it resumes")
 
     def check_own(self) -> None:
         """Raise TakenOverError if another driver has appended an entry; other errors if the store cannot say.

@@ -91,6 +91,7 @@ class StatusWriter:
             "left_out": list(self._left_out[:_SHOWN]),
         }
         try:
+            self._log.check_there()
             if state == "running":
                 self._log.check_own()
             (self._log.folder / _FILE).write_atomic(json.dumps(values, indent=1).encode() + b"\n")

@@ -49,6 +49,29 @@ def test_a_second_driver_stops_a_first_whose_tasks_are_long(drivers: Drivers) ->
     assert first.returncode == 4 and "another driver took this sweep over" in errors.splitlines()[-1]
 
 
+@pytest.mark.parametrize("unmounted", [False, True], ids=["renamed", "unmounted"])
+def test_a_folder_that_goes_ends_its_sweep_and_comes_back_whole(
+    drivers: Drivers, undisturbed: dict[str, bytes], unmounted: bool
+) -> None:
+    """Else the driver makes the folder again, and hours of results are in two folders of which neither resumes."""
+    out, away = drivers.folder / "out", drivers.folder / "away"
+    driver = drivers.start("out", "runner=local", "runner.commit_seconds=0", SHIFT3D_TEST_SECONDS="0.5")
+    drivers.wait_for_commits("out", 2)
+    out.rename(away)
+    if unmounted:
+        out.mkdir()
+    _, errors = driver.communicate(timeout=30)
+    assert driver.returncode == 2
+    assert f"{out}/_log: was removed, renamed or unmounted" in errors.splitlines()[-1]
+    assert not list(out.iterdir()) if unmounted else not out.exists()
+    if unmounted:
+        out.rmdir()
+    away.rename(out)
+    code, _, errors = drivers.run("out", "runner=local")
+    assert code == 0, errors
+    assert drivers.final("out") == undisturbed
+
+
 def test_a_folder_of_another_spec_is_refused_and_left_alone(drivers: Drivers, finished: Path) -> None:
     before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
     code, _, errors = drivers.run("out", "runner=local", "attack.steps=7")
