@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.processor import configure_runtime, instructions, mixed_processors
+from shift3d.processor import configure_runtime, mixed_processors
 from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RunnerConfig
 from shift3d.signals import handle_stop_signals
@@ -105,13 +105,13 @@ def run_sweep(
     """
     began = time.monotonic()
     folder = as_location(folder)
-    open_folder(folder, plan)
+    open_folder(folder, plan, kind.instructions)
     log = CommitLog(folder, plan.spec_hash)
     reused = sum(copy_finished_tasks(log, plan, other) for other in reuse)
     again = log.quarantined() if retry_quarantined else set()
     left = plan.tasks.without(log.finished() - again)
     if 0 < len(left) < len(plan.tasks) and not getattr(runner_config, "address", None):
-        _note_processor(folder)
+        _note_processor(folder, kind.instructions())
     status = StatusWriter(log, len(plan.tasks))
     status.write([], 0, "starting" if len(left) else "finished")
     came = 0
@@ -132,9 +132,9 @@ def run_sweep(
     return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), left_now, seconds, reused, came)
 
 
-def _note_processor(folder: Location) -> None:
-    """Print one line if the sweep was begun on a processor that rounds otherwise than this one."""
-    begun, here = read_environment(folder).get("instructions"), instructions()
+def _note_processor(folder: Location, here: str) -> None:
+    """Print one line if the sweep was begun on a processor that rounds otherwise. here: this one's instructions."""
+    begun = read_environment(folder).get("instructions")
     if begun and begun != here:
         write_line(
             mixed_processors(f"this processor computes with {here}", f"the one that began the sweep with {begun}")

@@ -9,6 +9,7 @@ import os
 import random
 import resource
 import signal
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -40,6 +41,7 @@ def load(spec: AssetsSpec) -> dict[str, float]:
 
 
 def run(spec: TaskSpec, assets: dict[str, float]) -> TaskResult:
+    assert "torch" not in sys.modules or "pytest" in sys.modules, "every driver and worker would take 2 s longer"
     _misbehave(spec)
     rng = generator(derive_seed("task", spec.task_id))
     where = generator(spec.placement_seed).uniform(15, 50, size=6)
@@ -142,4 +144,9 @@ def catalogue(config: Config) -> Catalogue:
     )
 
 
-KIND = TaskKind(run=run, load=load, catalogue=catalogue, memory_mb=200)
+def instructions() -> str:
+    """No instruction of a processor changes a number here, and nothing here needs torch, which takes 2 s to import."""
+    return "any instructions"
+
+
+KIND = TaskKind(run=run, load=load, catalogue=catalogue, memory_mb=200, instructions=instructions)

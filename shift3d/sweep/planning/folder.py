@@ -7,7 +7,7 @@ import importlib.metadata
 import json
 import os
 import platform
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
@@ -53,10 +53,10 @@ def check_folder(folder: LocationLike, plan: Plan) -> bool:
     return begun
 
 
-def open_folder(folder: LocationLike, plan: Plan) -> None:
+def open_folder(folder: LocationLike, plan: Plan, here: Callable[[], str] = instructions) -> None:
     """Create a sweep's folder, or check that an existing one has the same plan.
 
-    Raises: InputError: see `check_folder`; or the disk is full.
+    here: describes this processor, see `TaskKind`. Raises: InputError: see `check_folder`; or the disk is full.
     """
     folder = as_location(folder)
     # spec.yaml is first: it decides which plan owns the folder, and only drivers of that plan write further files.
@@ -65,7 +65,7 @@ def open_folder(folder: LocationLike, plan: Plan) -> None:
         begun = check_folder(folder, plan)  # another driver was faster: its plan must be the same
     if not begun or not (folder / "env.json").is_file():  # or a driver was killed before env.json
         (folder / "plan.parquet").write_atomic(plan_bytes(plan.tasks))
-        environment = json.dumps(_environment(), indent=1, sort_keys=True)
+        environment = json.dumps(_environment(here()), indent=1, sort_keys=True)
         (folder / "env.json").write_atomic(environment.encode() + b"\n")
 
 
@@ -113,14 +113,14 @@ def _spec_bytes(plan: Plan) -> bytes:
     return text.encode()
 
 
-def _environment() -> dict[str, Any]:
+def _environment(processor: str) -> dict[str, Any]:
     """Return the driver's versions and machine, for readers who ask why the results of two machines differ."""
     return {
         "shift3d": shift3d.__version__,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "machine": platform.machine(),
-        "instructions": instructions(),
+        "instructions": processor,
         "cpus": os.cpu_count(),
         "libraries": library_versions(_LIBRARIES),
     }

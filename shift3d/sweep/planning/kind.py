@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from shift3d import processor
 from shift3d.settings.catalogue.reading import Catalogue, read_catalogue
 from shift3d.settings.schema.config import Config
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
@@ -25,7 +26,8 @@ class TaskKind:
     catalogue: lists the scenes, vehicles and detectors of settings, with content hashes. preview: the same, without
     scene hashes that take long; None: catalogue is fast. single: a task can be run by its id (``shift3d sweep NAME
     --task ID``). memory_mb: approximate memory of a worker, in 2^20 bytes. prepare: run once by the driver before
-    workers load, with the assets and the tasks' specs without their scene; None: nothing.
+    workers load, with the assets and the tasks' specs without their scene; None: nothing. instructions: describes the
+    instructions of this processor that decide the tasks' rounding; a worker calls it before it loads.
     """
 
     run: Callable[[TaskSpec, Any], TaskResult]
@@ -35,6 +37,7 @@ class TaskKind:
     memory_mb: float = 1400.0
     preview: Callable[[Config], Catalogue] | None = None
     prepare: Callable[[AssetsSpec, Sequence[TaskSpec]], object] | None = None
+    instructions: Callable[[], str] = processor.instructions
 
 
 def shift3d_kind() -> TaskKind:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from shift3d.errors import InputError
-from shift3d.processor import instructions
 from shift3d.sweep.execution.ray.shipped_files import ShippedFiles, with_local_files
 from shift3d.sweep.execution.ray.versions import installed_versions
 from shift3d.sweep.execution.ray.worker_status import WorkerStatusFile
@@ -40,7 +39,7 @@ def _load(load: Callable[[AssetsSpec], Any], spec: AssetsSpec, shipped: ShippedF
 class WorkerAddress:
     """Address of a ready worker. node_id: Ray's. process: host and process id. status_path: status file of `pid`.
 
-    versions: installed on its machine; None: the driver's. instructions: of its processor, see `processor`.
+    versions: installed on its machine; None: the driver's. instructions: see `TaskKind`.
     """
 
     node_id: str
@@ -70,6 +69,7 @@ class RayWorker:
         # The first task loads the assets, since its outcome can report in one line why that failed.
         load = kind.load
         kind = dataclasses.replace(kind, load=lambda spec: _load(load, spec, shipped))
+        self._instructions = kind.instructions
         self._status_file = WorkerStatusFile()
         self._worker = Worker(kind, sweep, assets, command, self._status_file.note)
 
@@ -80,7 +80,8 @@ class RayWorker:
         pid = os.getpid()
         node_id = ray.get_runtime_context().get_node_id()
         process = f"{socket.gethostname()}:{pid}"
-        return WorkerAddress(node_id, process, pid, self._status_file.path, installed_versions(), instructions())
+        versions, instructions = installed_versions(), self._instructions()
+        return WorkerAddress(node_id, process, pid, self._status_file.path, versions, instructions)
 
     def run(self, positions: Sequence[int], first_attempt: int) -> BatchOutcome:
         """See `Worker.run_batch`."""
