@@ -65,12 +65,15 @@ class Beams:
         Args:
             points: (N, 3) returns, metres, scene frame, float32 or float64.
             origins: (N, 3) or (3,) sensor positions, metres, scene frame.
-        Raises: InputError: shapes that do not fit.
+        Raises: InputError: shapes that do not fit, or points of another dtype: hits would be rounded to it.
         """
         points_t = torch.as_tensor(np.ascontiguousarray(points) if isinstance(points, np.ndarray) else points)
         origins_t = _origins(origins, points_t)
         if points_t.ndim != 2 or points_t.shape[1] != 3:
             raise InputError(f"points must be (N, 3), not {tuple(points_t.shape)}", where="Beams.from_arrays")
+        if points_t.dtype not in (torch.float32, torch.float64):
+            what = f"points have dtype {str(points_t.dtype).removeprefix('torch.')}, not float32 or float64"
+            raise InputError(what, "Beams.from_arrays", "Cast them to float32, in metres")
         offset = points_t.double() - origins_t
         ranges = offset.square().sum(-1).sqrt()
         carries = torch.isfinite(ranges) & (ranges > 0)

@@ -42,3 +42,9 @@ def test_float64_coordinates_far_from_home_lose_nothing() -> None:
 def test_shapes_that_do_not_fit_are_refused(points: tuple[int, ...], origins: tuple[int, ...]) -> None:
     with pytest.raises(InputError):
         Beams.from_arrays(np.ones(points, np.float32), np.zeros(origins))
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.int16, np.float16, np.bool_])
+def test_points_whose_dtype_would_round_the_hits_are_refused(dtype: type[np.generic]) -> None:
+    with pytest.raises(InputError, match=f"dtype {np.dtype(dtype).name}.*Cast them to float32"):
+        Beams.from_arrays(np.full((4, 3), 9).astype(dtype), np.zeros(3))
