@@ -31,16 +31,14 @@ class TrainOptions:
     """Options of `shift3d train` beside the model.
 
     out: folder for samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda. scenes:
-    "street" or "kitti". root: folder of KITTI. count: number of scenes; None for the recipe's (street) or every frame
-    (kitti). steps, inserted (number of scenes with inserted vehicles): None for the recipe's. start_from: a weights
-    file, "shipped", or "random" for random weights even if the recipe names a start. recipe: fields as text.
+    labelled scenes; None for the recipe's own streets. count: number of these streets. steps, inserted (number of
+    scenes with inserted vehicles): None for the recipe's. start_from: a weights file, "shipped", or "random" for random weights even if the recipe names a start. recipe: fields as text.
     """
 
     out: Path
     threads: int | None = None
     device: str = "auto"
-    scenes: str = "street"
-    root: str | None = None
+    scenes: SceneSet | None = None
     count: int | None = None
     steps: int | None = None
     inserted: int | None = None
@@ -51,7 +49,7 @@ class TrainOptions:
     def shipped(self) -> bool:
         """True if recipe and scenes are those of the shipped weights, which no other training overwrites."""
         own = (self.count, self.steps, self.inserted, self.start_from)
-        return self.scenes == "street" and not self.recipe and all(value is None for value in own)
+        return self.scenes is None and not self.recipe and all(value is None for value in own)
 
     def compute(self) -> Compute:
         """Return device and threads. Raises: InputError for a device that this machine does not have."""
@@ -95,7 +93,7 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
     recipe = RECIPES[name]
     if options.steps is not None:
         recipe = scaled_to_steps(recipe, options.steps)
-    if options.scenes == "street" and options.count is not None:
+    if options.scenes is None and options.count is not None:
         recipe = replace(recipe, mesh_scenes=options.count, inserted_scenes=min(recipe.inserted_scenes, options.count))
     if options.start_from == RANDOM:
         recipe = replace(recipe, grown_from="", backbone_from="")
@@ -155,25 +153,9 @@ def _train_detector(name: str, options: TrainOptions, report: Report | None) -> 
         options.out,
         detector_recipe(name, options),
         weights_file=weights,
-        scenes=_scene_set(options),
+        scenes=options.scenes,
         start_from=start_from,
         compute=options.compute(),
         report=report,
     )
     return weights
-
-
-def _scene_set(options: TrainOptions) -> SceneSet | None:
-    """Return the scenes to train on; None for the recipe's own streets."""
-    from shift3d.scenes.kitti.scenes import KittiScenes
-
-    if options.scenes == "street":
-        if options.root is not None:
-            raise InputError("root= means nothing for scenes=street", "train", "Give scenes=kitti root=PATH")
-        return None
-    if options.scenes != "kitti":
-        remedy = "Give scenes=street or scenes=kitti root=PATH"
-        raise InputError(f"scenes={options.scenes!r} is unknown", "train", remedy)
-    if not options.root:
-        raise InputError("root= is missing", "train", "Give root=PATH, the folder that holds KITTI's training/")
-    return KittiScenes(Path(options.root).expanduser(), count=options.count)

@@ -16,6 +16,7 @@ import torch
 from safetensors.torch import load_file
 
 from shift3d.cli.commands.detectors.train import _options, _recipe_words
+from shift3d.cli.main import main
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models.backbone import BackboneSpec
 from shift3d.detectors.models.pillar_detectors import PointPillarsNet
@@ -176,7 +177,7 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
     monkeypatch.setitem(RECIPES, recipe.detector, recipe)
     monkeypatch.setattr(command, "WEIGHTS_FOLDER", tmp_path / "shipped")
     out = tmp_path / "out"
-    options = command.TrainOptions(out, threads=1, device="cpu", scenes="kitti", root=str(_kitti(tmp_path)), steps=2)
+    options = command.TrainOptions(out, threads=1, device="cpu", scenes=KittiScenes(_kitti(tmp_path)), steps=2)
     weights = command.train(recipe.detector, options)
     assert weights == out / f"{recipe.detector}.safetensors"
     assert load_file(weights).keys() == recipe.new_network().state_dict().keys()
@@ -199,12 +200,53 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
 
 def test_only_the_shipped_recipe_writes_the_shipped_weights(tmp_path: Path) -> None:
     assert command.TrainOptions(tmp_path, threads=3, device="cpu").shipped
-    for other in ({"scenes": "kitti"}, {"count": 3}, {"steps": 3}, {"inserted": 0}, {"start_from": "shipped"}):
+    kitti = KittiScenes(_kitti(tmp_path))
+    for other in ({"scenes": kitti}, {"count": 3}, {"steps": 3}, {"inserted": 0}, {"start_from": "shipped"}):
         assert not command.TrainOptions(tmp_path, **other).shipped
     with pytest.raises(InputError, match="not on scenes"):
-        command.train("sdf", command.TrainOptions(tmp_path, scenes="kitti"))
-    with pytest.raises(InputError, match="root= is missing"):
-        command.train("sst", command.TrainOptions(tmp_path, scenes="kitti"))
+        command.train("sdf", command.TrainOptions(tmp_path, scenes=kitti))
+
+
+def test_frames_of_ones_own_are_trained_on_by_the_words_that_evaluate_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The frames of the split alone, with the ground at the given height."""
+    monkeypatch.setitem(RECIPES, "pointpillars", TINY)
+    monkeypatch.setattr(command, "WEIGHTS_FOLDER", tmp_path / "shipped")
+    root, out = tmp_path / "frames", tmp_path / "out"
+    for part in ("points", "labels", "ImageSets"):
+        (root / part).mkdir(parents=True)
+    for name in ("a", "b"):
+        np.save(root / "points" / f"{name}.npy", _cloud())
+        (root / "labels" / f"{name}.txt").write_text(f"{' '.join(map(str, BOX))} Car\n")
+    (root / "ImageSets" / "train.txt").write_text("b\n")
+    words = ["model=pointpillars", "scenes=openpcdet", f"root={root}", "split=train", "ground_z_m=-1.7", f"out={out}"]
+    assert main(["train", *words, "device=cpu", "threads=1", "mlflow=none"]) == 0
+    facts = json.loads((out / "pointpillars.json").read_text())
+    assert facts["scenes"] == {"dataset": "openpcdet", "count": 1, "names": ["b"]}
+    (file,) = out.glob("scenes-*/*.npz")
+    np.testing.assert_allclose(load_cached(file).boxes[0, 2], BOX[2] + 1.7, atol=1e-6)
+    assert not (tmp_path / "shipped").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["model=sst", "scenes=moon"], "scenes='moon' is unknown. One of: street, kitti, openpcdet"),
+        (["model=sst", "scenes=waymo", "root=x"], "One of: street, kitti, openpcdet"),
+        (["model=sst", "scenes=kitti"], "Give root=PATH, the folder that holds KITTI's training/"),
+        (["model=sst", "scenes=kitti", "root=x", "split=val"], "split= means nothing for scenes=kitti"),
+        (["model=sst", "root=x"], "root= means nothing for scenes=street"),
+        (["model=sdf", "scenes=kitti", "root=x"], "scenes= is for detectors"),
+        (["model=sst", "finetune=OUT", "scenes=openpcdet"], "scenes= means nothing with finetune="),
+    ],
+)
+def test_scenes_that_cannot_be_trained_on_are_one_line(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", *words, "mlflow=none"]) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err and len(captured.err.strip().splitlines()) == 1
 
 
 def test_words_of_a_recipe_reach_it_and_keep_the_shipped_weights(tmp_path: Path) -> None:

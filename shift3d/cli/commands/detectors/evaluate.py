@@ -29,20 +29,16 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from shift3d.cli.command import Command, choice, key_values, real_number, refuse, share, whole_number, writable_folder
+from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import key_words
 from shift3d.cli.detector_arguments import DETECTOR_HELP, DETECTOR_KEYS, detector_files
+from shift3d.cli.scene_arguments import FRAME_SETS, FRAMES_HELP, frames_config, refuse_other_keys
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
-from shift3d.errors import InputError
 
 if TYPE_CHECKING:
     from shift3d.analysis.detector_evaluation import EvaluatedScenes
 
-_OF_SCENES = {
-    "street": ("sensor", "split", "traffic"),
-    "kitti": ("root",),
-    "openpcdet": ("root", "split", "sensor_m", "ground_z_m", "reflectance_max"),
-}
+_OF_SCENES = {"street": ("sensor", "split", "traffic"), **FRAME_SETS}
 _SCENE_KEYS = tuple(dict.fromkeys(key for keys in _OF_SCENES.values() for key in keys))
 _KEYS = ("detector", "scenes", "count", *_SCENE_KEYS, *DETECTOR_KEYS, "score_threshold", "workers", "out")
 _VALUES = {
@@ -53,8 +49,6 @@ _VALUES = {
     "model": ("sdf",),
     "detector": (*DETECTOR_NAMES, *FOREIGN, OWN, ONNX),
 }
-
-_EXAMPLES = {"ground_z_m": "-1.8", "reflectance_max": "255"}
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -79,36 +73,14 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _scenes(values: dict[str, str], count: int | None) -> EvaluatedScenes:
-    from pydantic import ValidationError
-
-    from shift3d.settings import messages
-    from shift3d.settings.schema.scenes import KittiConfig, OpenPcdetConfig, StreetConfig
+    from shift3d.settings.schema.scenes import StreetConfig
 
     kind = choice(values, "scenes", _VALUES["scenes"], "evaluate")
-    others = [key for key in _SCENE_KEYS if key not in _OF_SCENES[kind]]
-    refuse(values, others, f"means nothing for scenes={kind}", "evaluate")
+    refuse_other_keys(values, kind, _OF_SCENES, "evaluate")
     if kind == "street":
         chosen = {key: choice(values, key, _VALUES[key], "evaluate") for key in _OF_SCENES[kind]}
         return StreetConfig.model_validate({"kind": kind, "seed": 0, "count": count or 200, **chosen})
-    if not values.get("root"):
-        holds = "KITTI's training/" if kind == "kitti" else "points/ and labels/"
-        raise InputError("root= is missing", "evaluate", f"Give root=PATH, the folder that holds {holds}")
-    if kind == "kitti":
-        return KittiConfig(kind="kitti", root=values["root"], count=count, names=None)
-    numbers = {key: real_number(values, key, "evaluate", like) for key, like in _EXAMPLES.items()}
-    frames = {"kind": kind, "root": values["root"], "count": count, "names": None, "split": values.get("split")}
-    try:
-        sensor_m = _position(values.get("sensor_m", "[0,0,0]"))
-        return OpenPcdetConfig.model_validate({**frames, "sensor_m": sensor_m, **numbers})
-    except ValidationError as error:
-        raise messages.from_validation(error, "evaluate") from error
-
-
-def _position(text: str) -> list[float]:
-    try:
-        return [float(part) for part in text.strip("[]").split(",")]
-    except ValueError as error:
-        raise InputError(f"sensor_m={text!r} is no position", "evaluate", "Give sensor_m=[0,0,1.8]") from error
+    return frames_config(values, kind, count, "evaluate")
 
 
 COMMAND = Command(
@@ -117,7 +89,7 @@ COMMAND = Command(
     __doc__,
     _run,
     words=f"detector=NAME {DETECTOR_HELP} [scenes=street|kitti|openpcdet] [count=N] [sensor= split= traffic=] "
-    "[root=PATH] [sensor_m=[x,y,z]] [ground_z_m=Z] [reflectance_max=R] "
+    f"{FRAMES_HELP} "
     "[score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
     complete=key_words((*_KEYS, "model"), _VALUES),
     resumes=True,

@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values, refuse, whole_number, writable_folder
+from shift3d.cli.command import Command, choice, key_values, refuse, whole_number, writable_folder
 from shift3d.cli.completion import key_words
 from shift3d.cli.mesh_arguments import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
+from shift3d.cli.scene_arguments import FRAME_SETS, FRAMES_HELP, frames_config, refuse_other_keys
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.wording import counted
@@ -19,6 +20,7 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from shift3d.scenes.sets import SceneSet
     from shift3d.training.command import TrainOptions
 
 _DESCRIPTION = """\
@@ -45,6 +47,8 @@ examples:
   shift3d train model=pointpillars scenes=kitti root=PATH start_from=shipped steps=500 out=DIR
                                                    adapt the shipped weights to real frames with inserted vehicles,
                                                    at a fifth of the learning rate
+  shift3d train model=pointpillars scenes=openpcdet root=PATH split=train start_from=shipped out=DIR
+                                                   the same on your own frames (docs/guides/scenes.md)
   shift3d train model=pointpillars start_from=random steps=20000 out=DIR
                                                    from random weights; the recipe's 1,500 steps are too few for them
   shift3d train model=pointpillars start_from=FILE steps=0 out=DIR
@@ -69,14 +73,16 @@ mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere 
 {FRAME_TEXT}"""
 
 _FIELD = "recipe."
-_SCENE_KEYS = ("scenes", "root", "count", "inserted", "start_from")
+_OF_SCENES = {"street": (), **FRAME_SETS}
+_SET_KEYS = ("scenes", *FRAME_SETS["openpcdet"], "count", "inserted")
+_SCENE_KEYS = (*_SET_KEYS, "start_from")
 _TUNE_KEYS = ("finetune", "method")
 _KEYS = ("model", "out", "threads", "device", "mlflow", "steps", *_SCENE_KEYS, *_TUNE_KEYS, "vehicles", *FRAME_KEYS)
 _VALUES = {
     "method": ("adversarial", "baseline"),
     "model": ("sdf", *DETECTOR_NAMES),
     "device": ("auto", "cpu", "cuda"),
-    "scenes": ("street", "kitti"),
+    "scenes": tuple(_OF_SCENES),
     "start_from": ("shipped", "random"),
     "mlflow": ("none",),
     **FRAME_VALUES,
@@ -94,6 +100,10 @@ def _run(arguments: argparse.Namespace) -> int:
     if "method" in values and "finetune" not in values:
         raise InputError("method= says which objects of finetune=", where="train", remedy="Give finetune=OUT too")
     refuse(values, FRAME_KEYS, "is for meshes, and vehicles=PATH is not given", "train")
+    if values["model"] == "sdf":
+        refuse(values, (*_SCENE_KEYS, *_TUNE_KEYS), "is for detectors", "train")
+    if "finetune" in values:
+        refuse(values, _SET_KEYS, "means nothing with finetune=, whose sweep has the scenes", "train")
     model, options = values["model"], _options(values, _recipe_words(fields))
     with _curves(values, model, options) as report:
         began = time.monotonic()
@@ -109,8 +119,6 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _fine_tune(values: dict[str, str], options: TrainOptions, report: Any) -> Path:
     """Fine-tune a detector on a sweep's objects. All output goes to out=."""
-    nothing = "means nothing with finetune=, whose sweep has the scenes"
-    refuse(values, ("scenes", "root", "count", "inserted"), nothing, "train")
     if values["model"] not in DETECTOR_NAMES:
         raise InputError(f"finetune= is for detectors, not model={values['model']}", "train", "Give model=pointpillars")
     from shift3d.finetuning.tune import fine_tune
@@ -132,8 +140,8 @@ def _recipe_words(words: list[str]) -> dict[str, str]:
 def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> TrainOptions:
     from shift3d.training.command import RANDOM, TrainOptions
 
-    scenes = values.get("scenes", "street")
-    tail = "-finetuned" if "finetune" in values else "" if scenes == "street" else f"-{scenes}"
+    scenes = _frames(values)
+    tail = "-finetuned" if "finetune" in values else "" if scenes is None else f"-{scenes.dataset}"
     folder = f"outputs/train-{values['model']}{tail}"
     # steps=0 with existing weights trains the heads only.
     heads_alone = values.get("steps") == "0" and values.get("start_from", RANDOM) != RANDOM
@@ -142,13 +150,23 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
         threads=_number(values, "threads"),
         device=values.get("device", "auto"),
         scenes=scenes,
-        root=values.get("root"),
         count=_number(values, "count"),
         steps=0 if heads_alone else _number(values, "steps"),
         inserted=0 if values.get("inserted") == "0" else _number(values, "inserted"),
         start_from=values.get("start_from"),
         recipe=recipe or {},
     )
+
+
+def _frames(values: dict[str, str]) -> SceneSet | None:
+    """Return the labelled frames to train on; None for the recipe's own streets."""
+    kind = choice(values, "scenes", _VALUES["scenes"], "train")
+    refuse_other_keys(values, kind, _OF_SCENES, "train")
+    if kind == "street":
+        return None
+    from shift3d.settings.schema.scenes import scene_set
+
+    return scene_set(frames_config(values, kind, _number(values, "count"), "train"))
 
 
 @contextmanager
@@ -220,7 +238,8 @@ COMMAND = Command(
     _run,
     words=f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
     "[mlflow=URI|none]; "
-    "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped|random] "
+    f"detectors: [scenes={'|'.join(_OF_SCENES)}] {FRAMES_HELP} [split=NAME] [count=N] [inserted=N] "
+    "[start_from=FILE|shipped|random] "
     "[recipe.FIELD=VALUE] [finetune=OUT [method=adversarial|baseline]]; "
     f"sdf: vehicles=PATH|wide [count=N] [{'=] ['.join(FRAME_KEYS)}=]",
     complete=key_words(_KEYS, _VALUES),
