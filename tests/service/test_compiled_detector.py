@@ -21,7 +21,9 @@ def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(
     """
     monkeypatch.chdir(tmp_path)
     assert main(["compile", "detector=pointpillars", "to=pp.onnx"]) == 0
-    within = re.search(r"pp\.onnx: .* scores within (\S+) of pointpillars's", capsys.readouterr().out)
+    shown = capsys.readouterr()
+    assert "exporting pointpillars:   0%" in shown.err and "3/3" in shown.err
+    within = re.search(r"pp\.onnx: .* scores within (\S+) of pointpillars's", shown.out)
     assert within is not None and float(within[1]) < 1e-4, "on a street of either sensor"
     words = [
         "detector=onnx",

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from shift3d.attack.names import GRADIENT_FREE, OVER_KINDS
 from shift3d.detectors.names import ONNX, OWN
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.settings.catalogue.detector_files import detector_layouts
 from shift3d.settings.schema.config import Config, DetectorConfig
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from torch import Tensor
+    from tqdm import tqdm
 
     from shift3d.scenes.sets import SceneSet
 
@@ -63,7 +65,8 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
 
         compiled = detector_of(ONNX, config.file, None, "float32")
         original = detector_of(config.original, weights.get(config.original), config.module, "float32", layout)
-        worst = check_score_agreement(original, compiled, _clouds(scenes, first), str(config.file))
+        with progress_bar(total=len(first), desc=f"comparing with {config.original}", unit="scene", delay=1.0) as bar:
+            worst = check_score_agreement(original, compiled, _clouds(scenes, first, bar), str(config.file))
         _done[key] = (
             f"{config.file}: scores are those of {config.original} within {worst.difference:.1g} "
             f"in {counted(len(first), 'scene')}"
@@ -86,14 +89,18 @@ def export_onnx_detector(name: str, weights: str | None) -> tuple[bytes, float]:
 
     original = load_detector(name, weights)
     file = Path(weights or WEIGHTS_FOLDER / f"{name}.safetensors").expanduser()
-    content = onnx_bytes(load_network(file, name))
     streets, where = StreetScenes("mixed", count=2), f"{name} as ONNX"
-    compiled = onnx_detector(content, where)
-    worst = check_score_agreement(original, compiled, _clouds(streets, streets.names()), where)
+    with progress_bar(total=1 + streets.count, desc=f"exporting {name}", unit="step") as bar:
+        content = onnx_bytes(load_network(file, name))
+        bar.update()
+        bar.set_description(f"comparing with {name}")
+        compiled = onnx_detector(content, where)
+        worst = check_score_agreement(original, compiled, _clouds(streets, streets.names(), bar), where)
     return content, worst.difference
 
 
-def _clouds(scenes: SceneSet, names: Sequence[str]) -> Iterator[tuple[str, Tensor]]:
+def _clouds(scenes: SceneSet, names: Sequence[str], bar: tqdm[Any]) -> Iterator[tuple[str, Tensor]]:
+    """Yield name and points (N, 3), network frame, of each scene; count it in `bar` when the next one is requested."""
     import torch
 
     from shift3d.attack.objective import to_network_frame
@@ -101,3 +108,4 @@ def _clouds(scenes: SceneSet, names: Sequence[str]) -> Iterator[tuple[str, Tenso
     for name in names:
         scene = scenes.load(name)
         yield name, to_network_frame(torch.from_numpy(scene.points), scene.ground_z_m)
+        bar.update()
