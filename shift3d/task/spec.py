@@ -20,8 +20,8 @@ from shift3d.seeding import derive_seed
 
 # Raised if the same fields give another result (a changed algorithm under unchanged settings).
 SPEC_VERSION = 6
-# Version 5 has other names for some settings; its tasks can be read and keep their ids.
-_READ_VERSIONS = (5, SPEC_VERSION)
+# Tasks of these versions can be read. They keep their ids.
+_OLDEST_VERSION = 5
 _FORMER_EFFECTS = {"silent_beams": "no_return_beams"}
 
 Mode = Literal["shape", "pose", "shape_pose"]
@@ -198,13 +198,13 @@ class TaskSpec:
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> TaskSpec:
-        """Invert :meth:`to_dict`. Raises ValueError for another spec version."""
+        """Invert :meth:`to_dict`, also of an older version. Raises ValueError for a version that cannot be read."""
         values = dict(values)
         version = values.pop("spec_version")
-        if version not in _READ_VERSIONS:
-            raise ValueError(f"task spec version {version}, this is version {SPEC_VERSION}")
-        if version != SPEC_VERSION:
-            values = _current(values)
+        if type(version) is not int or not _OLDEST_VERSION <= version <= SPEC_VERSION:
+            raise ValueError(f"task spec version {version}, this program reads {_OLDEST_VERSION} to {SPEC_VERSION}")
+        for number in range(version, SPEC_VERSION):
+            values = _TO_NEXT[number](values) if number in _TO_NEXT else values
         values["effects"], values["scored_by"] = tuple(values["effects"]), tuple(values["scored_by"])
         values["attack"] = AttackSpec(**values["attack"])
         values["placement"] = PlacementSpec(**values["placement"])
@@ -262,14 +262,23 @@ class TaskSpec:
         )
 
 
-def _current(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Rename the fields of a version 5 spec to the valid names."""
+def is_current(values: Mapping[str, Any]) -> bool:
+    """True if :meth:`TaskSpec.to_dict` of this version gave the values, so that their id can be computed again."""
+    return bool(values["spec_version"] == SPEC_VERSION)
+
+
+def _to_version_6(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Rename the fields of a version 5 spec."""
     attack = dict(values["attack"])
     del attack["sphere_m"]
     if "steady_steps" in attack:
         attack["selection_window"] = attack.pop("steady_steps")
     others = [{**other, "effects": _renamed(other["effects"])} for other in values.get("transfer_scenes", ())]
     return {**values, "attack": attack, "effects": _renamed(values["effects"]), "transfer_scenes": others}
+
+
+_TO_NEXT = {5: _to_version_6}
+"""Converters of the fields to the next version, by version; none for a version whose fields the next one keeps."""
 
 
 def _renamed(effects: Sequence[str]) -> list[str]:

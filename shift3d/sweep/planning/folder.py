@@ -94,7 +94,8 @@ def _difference(found: dict[str, Any], plan: Plan) -> str:
     old, new = dict(leaves(found["settings"])), dict(leaves(plan.settings))
     changed = [f"{key} {old.get(key)}, not {new.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key)]
     # A processor without bfloat16 searches in float32, unless accuracy.detector sets the type.
-    return changed[0] if changed else "made from other scenes, vehicles, weights, axes or accuracy.detector"
+    others = "made from other scenes, vehicles, weights, axes or accuracy.detector, or by another version of shift3d"
+    return changed[0] if changed else others
 
 
 def _spec_bytes(plan: Plan) -> bytes:

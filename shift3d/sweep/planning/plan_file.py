@@ -24,7 +24,7 @@ from shift3d.store.tables import parquet_bytes, parquet_table
 from shift3d.sweep.planning.task_ids import read_task_scene, read_template, task_ids, template_json
 from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.sweep.planning.tasks_builder import tasks_of
-from shift3d.task.spec import TaskSpec
+from shift3d.task.spec import TaskSpec, is_current
 
 _SHARED = pa.dictionary(pa.int32(), pa.string())
 _SCHEMA = pa.schema(
@@ -151,7 +151,8 @@ def _whole_specs(table: pa.Table) -> Tasks:
 
 
 def _tasks(table: pa.Table, former: bool) -> Tasks:
-    """Convert a table to tasks. former: the ids were computed from older column names, so they are not checked."""
+    """Convert a table to tasks. Ids are checked unless they were computed from an older spec version, or from older
+    column names (former)."""
     for name in _READ:
         if table[name].null_count:
             raise ValueError(f"{name} is missing in {table[name].null_count} rows")
@@ -160,6 +161,7 @@ def _tasks(table: pa.Table, former: bool) -> Tasks:
     # Labels contain no line feed, so the joined text can be split again.
     labels, requested = _numbered(pc.binary_join(table["effects_requested"], "\n"))
     specs = tuple(read_template(text) for text in templates.to_pylist())
+    former |= not all(is_current(json.loads(text)) for text in templates.to_pylist())
     ids = _one_chunk(table["task_id"].cast(pa.string()))
     found = [read_task_scene(text) for text in task_scenes.to_pylist()]
     if not former and not ids.equals(task_ids(specs, found, template, task_scene)):

@@ -20,6 +20,7 @@ from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import Plan, make_plan
 from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks, stored_effect_requests
+from shift3d.task import spec as spec_module
 
 WORDS = ["effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25"]
 
@@ -47,6 +48,21 @@ def test_there_and_back(plan: Plan) -> None:
     assert plan_bytes(back) == content == plan_bytes(plan.tasks)
     some = plan.tasks[::3]
     assert list(read_tasks(plan_bytes(some), "plan.parquet")) == list(some)
+
+
+def test_a_plan_stays_readable_and_keeps_its_ids_when_the_spec_version_is_raised(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_folder(tmp_path / "out", plan)
+    before = [task.spec.task_id for task in plan.tasks]
+    monkeypatch.setattr(spec_module, "SPEC_VERSION", spec_module.SPEC_VERSION + 1)
+    found = read_plan(tmp_path / "out")
+    assert [task.spec.task_id for task in found.tasks] == before and found.spec_hash == plan.spec_hash
+    assert [task.spec for task in found.tasks] == [task.spec for task in plan.tasks]
+    again = make_plan(compose_sweep("default", [*WORDS, "attack.transfer_scenes=1"]), catalogue)[0]
+    assert not {task.spec.task_id for task in again.tasks} & set(before), "a sweep of this version starts anew"
+    with pytest.raises(InputError, match="or by another version of shift3d"):
+        open_folder(tmp_path / "out", again)
 
 
 def test_columns_say_what_the_specs_say(plan: Plan, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import pytest
 
 from shift3d.attack.names import SearchName, SpaceName
+from shift3d.task import spec as spec_module
 from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene, label_words
 
 SPEC = TaskSpec("suv", "street_000", "street-hdl64", "shape", 1.0, 0.01, "pointpillars", "standard")
@@ -89,6 +90,23 @@ def test_a_spec_of_the_version_before_is_read_by_todays_names() -> None:
     former["attack"]["sphere_m"] = 7.0
     former["transfer_scenes"] = [{"scene": "street_001", "scene_hash": "b", "effects": ["silent_beams"]}]
     assert TaskSpec.from_dict(former) == spec
+
+
+@pytest.mark.parametrize("version", [4, spec_module.SPEC_VERSION + 1, True, "6", None])
+def test_a_spec_of_a_version_that_cannot_be_read_is_refused(version: object) -> None:
+    with pytest.raises(ValueError, match=rf"version {version}, this program reads 5 to {spec_module.SPEC_VERSION}"):
+        TaskSpec.from_dict(SPEC.to_dict() | {"spec_version": version})
+
+
+@pytest.mark.parametrize("version", [5, spec_module.SPEC_VERSION])
+def test_specs_of_all_versions_stay_readable_when_the_version_is_raised(
+    version: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = SPEC.to_dict() | {"spec_version": version}
+    if version == 5:
+        values["attack"]["sphere_m"] = 7.0
+    monkeypatch.setattr(spec_module, "SPEC_VERSION", spec_module.SPEC_VERSION + 1)
+    assert TaskSpec.from_dict(values) == SPEC
 
 
 def test_pose_has_no_lambda() -> None:
