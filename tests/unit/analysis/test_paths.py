@@ -53,6 +53,12 @@ def test_the_best_step_of_a_case_is_named_and_marked() -> None:
     assert "stored no scores" in blocks_html([case_path("case-1", path_rows({"a": [None, None]}))])
 
 
+@pytest.mark.parametrize("last", [1, 2, 5, 9])
+def test_the_axis_of_few_steps_has_a_tick_at_each_step_and_none_between(last: int) -> None:
+    shown = blocks_html([case_path("case-1", path_rows({"a": [0.8] * (last + 1)}))])
+    assert '"dtick":1' in shown.replace(" ", "")
+
+
 def test_folders_with_and_without_paths(tmp_path: Path) -> None:
     """A folder without paths is read; a folder with paths is drawn from its final table."""
     old, new = tmp_path / "old", tmp_path / "new"

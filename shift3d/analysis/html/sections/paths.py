@@ -85,5 +85,7 @@ def case_path(key: str, rows: pd.DataFrame) -> Block:
 
 
 def _layout(last: int) -> dict[str, Any]:
-    sides = {"xaxis": axis("step", range=[0, max(last, 1)]), "yaxis": axis("score", range=[0, 1.02])}
+    # Plotly chooses up to ten ticks: it divides steps into fractions only below ten of them.
+    ticks = {"dtick": 1} if last < 10 else {}
+    sides = {"xaxis": axis("step", range=[0, max(last, 1)], **ticks), "yaxis": axis("score", range=[0, 1.02])}
     return {**sides, "legend": {**LEGEND_BELOW, "traceorder": "normal"}, "hovermode": "x unified"}
