@@ -263,7 +263,7 @@ class TaskSpec:
 
 
 def is_current(values: Mapping[str, Any]) -> bool:
-    """True if :meth:`TaskSpec.to_dict` of this version gave the values, so that their id can be computed again."""
+    """True if the values have SPEC_VERSION, so that the id of their task can be computed again."""
     return bool(values["spec_version"] == SPEC_VERSION)
 
 

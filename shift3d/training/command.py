@@ -32,7 +32,8 @@ class TrainOptions:
 
     out: folder for samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda. scenes:
     labelled scenes; None for the recipe's own streets. count: number of these streets. steps, inserted (number of
-    scenes with inserted vehicles): None for the recipe's. start_from: a weights file, "shipped", or "random" for random weights even if the recipe names a start. recipe: fields as text.
+    scenes with inserted vehicles): None for the recipe's. start_from: a weights file, "shipped", or "random" for random
+    weights even if the recipe names a start. recipe: fields as text.
     """
 
     out: Path
