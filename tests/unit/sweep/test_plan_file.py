@@ -60,7 +60,7 @@ def test_a_plan_stays_readable_and_keeps_its_ids_when_the_spec_version_is_raised
     assert [task.spec.task_id for task in found.tasks] == before and found.spec_hash == plan.spec_hash
     assert [task.spec for task in found.tasks] == [task.spec for task in plan.tasks]
     again = make_plan(compose_sweep("default", [*WORDS, "attack.transfer_scenes=1"]), catalogue)[0]
-    assert not {task.spec.task_id for task in again.tasks} & set(before), "a sweep with the raised version repeats every task"
+    assert not {task.spec.task_id for task in again.tasks} & set(before), "the raised version repeats every task"
     with pytest.raises(InputError, match="or by another version of shift3d"):
         open_folder(tmp_path / "out", again)
 
