@@ -43,16 +43,21 @@ def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
 def column(table: pa.Table, name: str, dtype: type[np.generic], file: Location) -> NDArray[Any]:
     """Return one numeric column (rows,), cast to a dtype.
 
-    Raises InputError: it is not numeric, has gaps, or holds a value that is no integer where the dtype is one.
+    Raises InputError: it is not numeric, has gaps, or holds a value that is no integer where the dtype is one. Floats
+    so large that they merge two integers (nanoseconds since 1970 in float64) are none.
     """
     found = table[name]
     number = pa.types.is_integer(found.type) or pa.types.is_floating(found.type)
     if found.null_count or not number:
         raise InputError(f"column {name} has gaps or is no numbers", str(file), _AGAIN)
     values: NDArray[Any] = found.to_numpy()
+    floats = pa.types.is_floating(found.type)
+    exact = 2.0 ** (np.finfo(values.dtype).nmant + 1) if floats else 2.0**63
     # A NaN compares false. Fractions are truncated: a firing time in another unit has its own error.
-    if np.issubdtype(dtype, np.integer) and not (np.abs(values) < 2.0**63).all():
-        raise InputError(f"column {name} has values that are NaN or no integers of 64 bits", str(file), _AGAIN)
+    if np.issubdtype(dtype, np.integer) and not (np.abs(values) < exact).all():
+        what = f"column {name} has values that are NaN or no integers of 64 bits"
+        kind = f", as its type {values.dtype} is exact up to {exact:.0e} only" if floats else ""
+        raise InputError(what + kind, str(file), f"{_AGAIN}, or write int64")
     return values.astype(dtype)
 
 

@@ -70,6 +70,20 @@ def test_labels_are_in_the_scenes_frame(tmp_path: Path) -> None:
     assert labels.names == ("REGULAR_VEHICLE", "PEDESTRIAN") and labels.classes == ("vehicle", "pedestrian")
 
 
+def test_labels_belong_to_a_sweep_by_every_nanosecond(tmp_path: Path) -> None:
+    """The boxes of another time are not the sweep's, even if float64 gives both times one value."""
+    other = START + PERIOD + 1
+    assert float(other) == float(START + PERIOD)
+
+    def moved(table: pa.Table) -> pa.Table:
+        times = table["timestamp_ns"].to_pylist()
+        at = table.column_names.index("timestamp_ns")
+        return table.set_column(at, "timestamp_ns", pa.array([START, START, START + PERIOD, other][: len(times)]))
+
+    rewrite(BOXES, moved)(write_log(tmp_path))
+    assert Argoverse2Scenes(tmp_path).load(NAME).labels.names == ("REGULAR_VEHICLE",)
+
+
 def test_a_sweep_without_annotations_is_unlabelled(tmp_path: Path) -> None:
     log = write_log(tmp_path)
     rewrite(BOXES, lambda table: table.filter(pc.equal(table["timestamp_ns"], START)))(log)
@@ -126,6 +140,11 @@ def scaled(name: str, factor: float) -> Callable[[pa.Table], pa.Table]:
         return table.set_column(at, name, pa.array(values))
 
     return change
+
+
+def halved_times(table: pa.Table) -> pa.Table:
+    at = table.column_names.index("timestamp_ns")
+    return table.set_column(at, "timestamp_ns", pc.divide(table["timestamp_ns"], 2))
 
 
 def first_of(name: str, value: float) -> Callable[[pa.Table], pa.Table]:
@@ -186,7 +205,7 @@ def centimetres(table: pa.Table) -> pa.Table:
         (rewrite(SWEEP, scaled("intensity", 257.0)), r"intensity that is not 0 to 255"),
         (rewrite(SWEEP, scaled("offset_ns", 1e-3)), r"firing times from .* nanoseconds"),
         (rewrite(SWEEP, scaled("offset_ns", -1.0)), r"firing times from -"),
-        (rewrite(POSES, scaled("timestamp_ns", 0.5)), r"no pose near the sweep"),
+        (rewrite(POSES, halved_times), r"no pose near the sweep"),
         (rewrite(POSES, poses_until(0)), r"no pose near the sweep \d+, 99\.\d* ms after its start.*one log"),
         (rewrite(POSES, poses_until(-30_000_000)), r"no pose near the sweep \d+, 0 ms after its start.*one log"),
         (rewrite(POSES, scaled("qw", 1.5)), r"no unit quaternion"),
@@ -195,7 +214,14 @@ def centimetres(table: pa.Table) -> pa.Table:
         *((rewrite(p, not_utf8(n)), rf"{p}.*Feather.*UTF") for p, n in ((BOXES, "category"), (MOUNTS, "sensor_name"))),
         *((misnamed(p, n), rf"{p}.*Feather.*utf") for p, n in ((SWEEP, b"offset_ns"), (MOUNTS, b"sensor_name"))),
         (rewrite(BOXES, as_text), r"annotations\.feather: column timestamp_ns has gaps or is no numbers"),
-        (rewrite(BOXES, scaled("timestamp_ns", 0.5)), r"annotations\.feather: it annotates no sweep of the log"),
+        (rewrite(BOXES, halved_times), r"annotations\.feather: it annotates no sweep of the log"),
+        *(
+            (
+                rewrite(part, scaled("timestamp_ns", 1.0)),
+                rf"{part}: column timestamp_ns .* as its type float64 is exact",
+            )
+            for part in (POSES, BOXES)
+        ),
         *(
             (rewrite(part, first_of(name, value)), rf"{part}: column {name} has values that are NaN")
             for part, name in (
