@@ -159,11 +159,10 @@ def _axles_cm(
     mesh: trimesh.Trimesh, low: FloatArray, high: FloatArray
 ) -> tuple[float | None, float | None, float | None]:
     """Return front overhang, wheelbase and rear overhang in cm; all None without two axles."""
-    vertices = np.asarray(mesh.vertices)
-    x, middle = vertices[vertices[:, 2] < low[2] + _CONTACT_M, 0], (low[0] + high[0]) / 2.0
-    axles = [
-        (half.min() + half.max()) / 2 for half in (x[x > middle], x[x < middle]) if len(half) > 0 and np.ptp(half) < 1
-    ]
+    # The triangles are cut: of a coarse mesh, vertices alone would miss a floor, or one side of a tyre.
+    cut_at = np.array(((low + high) / 2.0, low + np.array((0.0, 0.0, _CONTACT_M))))
+    halves = [mesh.slice_plane(cut_at, [(side, 0.0, 0.0), (0.0, 0.0, -1.0)]).vertices[:, 0] for side in (1.0, -1.0)]
+    axles = [(half.min() + half.max()) / 2 for half in halves if len(half) > 0 and np.ptp(half) < 1]
     if len(axles) < 2:
         return None, None, None
     front, rear = axles

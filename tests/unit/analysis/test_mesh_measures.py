@@ -18,7 +18,8 @@ def test_a_box_is_measured_in_centimetres() -> None:
     assert found.volume_m3 == pytest.approx(4.2 * 1.8 * 1.5) and found.pieces == 1
     assert found.clearance_cm == pytest.approx(0.0, abs=1e-6)
     assert found.nose_cm == pytest.approx(150.0) and found.windshield_deg == pytest.approx(90.0)
-    assert "not measured" not in str(change_lines(found, found))
+    missing = [line[0] for line in change_lines(found, found) if "not measured" in line]
+    assert missing == ["front overhang", "wheelbase", "rear overhang"], "a box has no axles"
     assert describe_changes(found, found).startswith("No measure changes")
 
 
@@ -68,8 +69,27 @@ def test_the_tail_of_a_car_is_the_nose_of_the_car_turned_round() -> None:
 
 
 def test_what_has_no_wheels_has_no_overhangs() -> None:
-    plank = measure_mesh(trimesh.creation.box((4.2, 1.8, 1.5)).subdivide().subdivide())
-    assert plank.wheelbase_cm is None and plank.rear_overhang_cm is None
+    """A box has none, also where its floor has no vertex but the corners."""
+    box = trimesh.creation.box((4.2, 1.8, 1.5))
+    for plank in (box.subdivide().subdivide(), box):
+        found = measure_mesh(plank)
+        assert (found.front_overhang_cm, found.wheelbase_cm, found.rear_overhang_cm) == (None, None, None)
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.2, 0.5])
+def test_axles_do_not_depend_on_where_the_vertices_of_a_coarse_tyre_lie(turn_rad: float) -> None:
+    """Tyres of twelve corners. Their axles are off by less than the flat of a tyre, wherever its lowest corner is."""
+    parts = [trimesh.creation.box((4.2, 1.8, 0.8), trimesh.transformations.translation_matrix((0.0, 0.0, 0.7)))]
+    for x in (-1.3, 1.3):
+        tyre = trimesh.creation.cylinder(0.32, 1.7, sections=12)
+        tyre.apply_transform(trimesh.transformations.rotation_matrix(turn_rad, (0, 0, 1)))
+        tyre.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+        tyre.apply_translation((x, 0.0, 0.32))
+        parts.append(tyre)
+    found = measure_mesh(trimesh.util.concatenate(parts))
+    assert found.wheelbase_cm == pytest.approx(260.0, abs=1e-6)
+    assert found.front_overhang_cm == pytest.approx(80.0, abs=2.0)
+    assert found.rear_overhang_cm == pytest.approx(80.0, abs=2.0)
 
 
 def test_a_large_mesh_is_made_small_enough_for_a_page() -> None:
