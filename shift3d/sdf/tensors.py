@@ -33,12 +33,17 @@ def without_subnormals(weight: Tensor) -> Tensor:
 
 
 def is_plain(value: Any) -> TypeGuard[Tensor]:
-    """True if a value is a dense, real floating-point tensor in CPU memory: not sparse, integer or complex."""
+    """True if a value is a dense, real floating-point tensor in CPU memory: not sparse, nested, integer or complex.
+
+    A view that repeats its values is not dense: a file of a kilobyte can name a terabyte.
+    """
     return (
         isinstance(value, Tensor)
         and value.layout is torch.strided
         and value.device.type == "cpu"
         and value.is_floating_point()
+        and not value.is_nested
+        and value.numel() * value.element_size() <= value.untyped_storage().nbytes()
     )
 
 

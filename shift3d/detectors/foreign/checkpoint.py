@@ -69,6 +69,10 @@ def _tensors(path: Path) -> dict[str, Tensor]:
         keys = ", ".join(sorted(map(str, content))[:_SHOWN])
         remedy = f"Save it under {' or '.join(_STATES[:2])}"
         raise InputError(f"holds no table of tensors, but {keys}", str(path), remedy)
+    for name, value in tensors.items():
+        if value.is_nested or value.is_meta or value.layout is not torch.strided:
+            kind = "nested" if value.is_nested else "without values" if value.is_meta else value.layout
+            raise InputError(f"tensor {name} is {kind}, not dense numbers", str(path), "Save it as dense float32")
     return {name: value for name, value in tensors.items() if not name.endswith(_COUNTERS)}
 
 

@@ -96,6 +96,20 @@ def test_values_that_no_training_leaves(value: float, says: str, tmp_path: Path)
     assert name in printed and says in printed
 
 
+@pytest.mark.parametrize("change", [torch.Tensor.to_sparse, lambda value: value.to("meta")], ids=["sparse", "meta"])
+def test_a_tensor_without_dense_values(change: Callable[[torch.Tensor], torch.Tensor], tmp_path: Path) -> None:
+    name = "backbone_2d.blocks.0.1.weight"
+    printed = refused(PCD, tmp_path, lambda state: state.update({name: change(state[name])}))
+    assert f"tensor {name} is" in printed and "dense" in printed
+
+
+def test_eight_bit_weights_are_read_as_their_values(tmp_path: Path) -> None:
+    name = "backbone_2d.blocks.0.1.weight"
+    ones = load(PCD, tmp_path, lambda state: state[name].fill_(1.0)).proposals(torch.zeros(0, 3)).logits
+    eight_bit = load(PCD, tmp_path, lambda state: state.update({name: state[name].fill_(1.0).to(torch.float8_e4m3fn)}))
+    assert torch.equal(eight_bit.proposals(torch.zeros(0, 3)).logits, ones)
+
+
 def test_a_negative_variance(tmp_path: Path) -> None:
     name = "pts_neck.deblocks.0.1.running_var"
     assert name in refused(MM, tmp_path, lambda state: state[name].fill_(-1.0))

@@ -177,6 +177,10 @@ def edit(folder: Path, part: str, change: Callable[[dict[str, Any]], object]) ->
     torch.save(content, path)
 
 
+def repeated(*shape: int) -> Tensor:
+    return torch.zeros(1, dtype=torch.float16).expand(shape)
+
+
 @pytest.mark.parametrize(
     ("part", "change", "message"),
     [
@@ -189,6 +193,13 @@ def edit(folder: Path, part: str, change: Callable[[dict[str, Any]], object]) ->
         ("LatentCodes", lambda c: c.pop("latent_codes"), "no table of latent_codes"),
         ("LatentCodes", lambda c: c.update(latent_codes={"weight": torch.ones(5, 3)}), "5 codes of length 3"),
         ("LatentCodes", lambda c: c["latent_codes"]["weight"].fill_(torch.inf), "not finite"),
+        # Terabytes, in a file of a kilobyte:
+        ("LatentCodes", lambda c: c.update(latent_codes=repeated(2**37, 1, CODE)), "no table of latent_codes"),
+        (
+            "ModelParameters",
+            lambda c: c["model_state_dict"].update({"module.lin0.weight_v": repeated(2**20, 2**20)}),
+            "lin0.weight_v is float16.*not dense",
+        ),
         ("LatentCodes", lambda c: c.update(epoch=9), "is of epoch 9, the weights are of epoch 3"),
     ],
     ids=lambda value: value.replace(" ", "_") if isinstance(value, str) else "",
