@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,20 +102,22 @@ def _check_content(content: bytes, where: str) -> None:
         raise InputError("it is no ONNX file", where, "Copy or export it again") from error
     if not model.graph.node:
         raise InputError("it is no ONNX file, or one without operators", where, "Copy or export it again")
-    if outside := [tensor for tensor in _tensors(model.graph) if uses_external_data(tensor)]:
+    if outside := [tensor for tensor in _stored_tensors(model) if uses_external_data(tensor)]:
         what = f"{len(outside)} of its tensors are in another file, which neither travels nor is part of a task's id"
         remedy = "Join them: onnx.save_model(onnx.load(FILE), NEW_FILE, save_as_external_data=False)"
         raise InputError(what, where, remedy)
 
 
-def _tensors(graph: Any) -> list[Any]:
-    """Return all constants of a graph and of the graphs inside its operators."""
-    found = list(graph.initializer)
-    for attribute in (attribute for node in graph.node for attribute in node.attribute):
-        found += [attribute.t, *attribute.tensors]
-        for inner in (attribute.g, *attribute.graphs):
-            found += _tensors(inner)
-    return found
+def _stored_tensors(message: Any) -> Iterator[Any]:
+    """Yield every tensor within a message: in graphs, operators, functions and sparse tensors."""
+    from google.protobuf.message import Message
+
+    for field, value in message.ListFields():
+        for part in [value] if isinstance(value, Message) else value if field.message_type else ():
+            if field.message_type.name == "TensorProto":
+                yield part
+            else:
+                yield from _stored_tensors(part)
 
 
 def _check_interface(session: onnxruntime.InferenceSession, where: str) -> None:

@@ -160,6 +160,30 @@ def test_data_in_another_file_is_refused_whether_it_is_there_or_not(tmp_path: Pa
         load_onnx(path)
 
 
+@pytest.mark.parametrize("kind", ["function", "sparse tensor"])
+def test_data_in_another_file_is_refused_wherever_the_file_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """ONNX Runtime reads such data from the working directory, so that equal files would give other boxes."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "boxes.data").write_bytes(BOXES.tobytes())
+    outside = TensorProto(name="outside", data_type=TensorProto.FLOAT, dims=BOXES.shape)
+    outside.data_location = TensorProto.EXTERNAL
+    outside.external_data.add(key="location", value="boxes.data")
+    if kind == "sparse tensor":
+        outside.dims[:] = [BOXES.size]
+        places = helper.make_tensor("places", TensorProto.INT64, [BOXES.size], range(BOXES.size))
+        changed = model(nodes=[*graph_nodes()[:-1], helper.make_node("Identity", ["outside"], ["boxes"])])
+        changed.graph.sparse_initializer.append(helper.make_sparse_tensor(outside, places, BOXES.shape))
+    else:
+        constant, versions = helper.make_node("Constant", [], ["found"], value=outside), [helper.make_opsetid("", 18)]
+        changed = model(nodes=[*graph_nodes()[:-1], helper.make_node("Boxes", [], ["boxes"], domain="mine")])
+        changed.functions.append(helper.make_function("mine", "Boxes", [], ["found"], [constant], versions))
+    onnx.save_model(changed, tmp_path / "mine.onnx")
+    with pytest.raises(InputError, match=r"1 of its tensors are in another file"):
+        load_onnx(tmp_path / "mine.onnx")
+
+
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         load_onnx(tmp_path / "mine.onnx")
