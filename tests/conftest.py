@@ -40,13 +40,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[Any]:
-    """Exclude modules and tests from garbage collection: they live for the whole session."""
+    """Exclude modules and tests from garbage collection: they live for the whole session. Collect more rarely."""
     gc.disable()
     try:
         return (yield)
     finally:
         gc.enable()
         gc.freeze()
+        gc.set_threshold(20_000)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -134,7 +134,7 @@ def test_streams_that_the_parent_closed_are_dev_null(tmp_path: Path, closed: str
 
 def test_a_path_that_the_terminal_cannot_show_is_printed_in_ascii(tmp_path: Path) -> None:
     folder = tmp_path / "\u00f1 \u8eca"
-    command = [sys.executable, "-m", "shift3d", "fit", str(folder), "forward=+z", "unit=m", "out=x"]
+    command = [sys.executable, "-m", "shift3d", "sweep", "status", str(folder)]
     code = f"from shift3d.cli.main import _prepare_standard_streams as p; p(); print({str(folder)!r})"
     for words, stream in (([sys.executable, "-c", code], "stdout"), (command, "stderr")):
         environment = {**os.environ, "PYTHONIOENCODING": "ascii"}

@@ -152,7 +152,8 @@ def test_one_real_frame_and_the_same_command_again(
     assert json.loads(before["spec.json"])["detector"] == "pointpillars"
     assert main([*words, "score_threshold=0.2"]) == 2
     assert "holds another evaluation" in capsys.readouterr().err
-    own = Path(shutil.copy(WEIGHTS_FOLDER / "pointpillars.safetensors", tmp_path / "own.safetensors"))
+    own = Path(shutil.copy(WEIGHTS_FOLDER / "sst_small.safetensors", tmp_path / "own.safetensors"))
     write_provenance(own, {"scenes": {"dataset": "kitti", "count": 1, "names": [name]}})
+    words[1] = "detector=sst_small"  # quicker
     assert main([*words[:-1], f"weights={own}", f"out={tmp_path / 'other'}"]) == 0
     assert f"warning: {own} was trained on 1 of these 1 scene" in capsys.readouterr().out
