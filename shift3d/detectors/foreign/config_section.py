@@ -120,6 +120,14 @@ class Section:
         rows = [Section({name: row}, self.file, self.path) for row in self.sequence(name)]
         return [row.numbers(name, width) for row in rows]
 
+    def sizes(self, name: str) -> list[tuple[float, float, float]]:
+        """Return rows of length, width and height, each above 0."""
+        rows = self.rows(name, 3)
+        for row in rows:
+            if min(row) <= 0.0:
+                self._wrong(name, list(row), "a length, a width and a height above 0")
+        return [(length, width, height) for length, width, height in rows]
+
     def sequence(self, name: str, default: Any = _REQUIRED, count: int | None = None) -> Sequence[Any]:
         """Return a non-empty list, of `count` values if given."""
         value = self.get(name, default)

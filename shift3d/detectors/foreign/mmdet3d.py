@@ -168,7 +168,7 @@ def _anchors(head: Section, classes: tuple[str, ...], choices: ForeignOverrides,
     generator.expect("type", ("Anchor3DRangeGenerator", "AlignedAnchor3DRangeGenerator"))
     generator.expect("align_corner", False, False)
     generator.expect("scales", ([1], (1,)), [1])
-    sizes, ranges = generator.rows("sizes", 3), generator.rows("ranges", 6)
+    sizes, ranges = generator.sizes("sizes"), generator.rows("ranges", 6)
     if len(ranges) == 1:
         ranges = ranges * len(sizes)
     if len(ranges) != len(sizes):
@@ -188,13 +188,13 @@ def _anchors(head: Section, classes: tuple[str, ...], choices: ForeignOverrides,
 
 
 def _anchor(
-    size: tuple[float, ...], ends: tuple[float, ...], heading: float, aligned: bool, cells: tuple[int, int]
+    size: tuple[float, float, float], ends: tuple[float, ...], heading: float, aligned: bool, cells: tuple[int, int]
 ) -> Anchor:
     """Make an anchor. Ranges give the height of its bottom; aligned anchors are centred in equal parts of the range."""
     insets = [(ends[axis + 3] - ends[axis]) / cells[axis] / 2 if aligned else 0.0 for axis in (0, 1)]
     bottom = (ends[2] + ends[5]) / 2 if aligned else ends[2]
     return Anchor(
-        size_m=(size[0], size[1], size[2]),
+        size_m=size,
         heading_rad=heading,
         z_m=bottom + size[2] / 2,
         x_m=(ends[0] + insets[0], ends[3] - insets[0]),

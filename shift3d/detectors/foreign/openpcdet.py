@@ -167,13 +167,13 @@ def _anchors_of(part: Section, bounds: tuple[float, ...], spec: BackboneSpec, gr
     inset = grid.cell_m * spec.out_stride / 2 if part.flag("align_center", False) else 0.0
     return [
         Anchor(
-            size_m=(size[0], size[1], size[2]),
+            size_m=size,
             heading_rad=heading,
             z_m=bottom + size[2] / 2,
             x_m=(bounds[0] + inset, bounds[3] - inset),
             y_m=(bounds[1] + inset, bounds[4] - inset),
         )
-        for size in part.rows("anchor_sizes", 3)
+        for size in part.sizes("anchor_sizes")
         for heading in part.numbers("anchor_rotations")
     ]
 

@@ -49,6 +49,7 @@ PCD = [
     ("['Car', 'Pedestrian', 'Cyclist']", "['Van', 'Pedestrian', 'Cyclist']", "no class Car"),
     ("MAX_POINTS_PER_VOXEL: 32", "MAX_POINTS_PER_VOXEL: many", "MAX_POINTS_PER_VOXEL"),
     ("NUM_FILTERS: [8]", "NUM_FILTER: [8]", "NUM_FILTERS is missing"),
+    ("'anchor_sizes': [[3.9,", "'anchor_sizes': [[-3.9,", "anchor_sizes"),
 ]
 
 
@@ -123,6 +124,7 @@ MM = [
     ("    backbone=dict(", "    img_backbone=dict(type='ResNet'),\n    backbone=dict(", "img_backbone"),
     ("with_distance=False", "with_distance=True", "with_distance"),
     ("nms_thr=0.01", "nms_threshold=0.01", "nms_thr is missing"),
+    ("[0.8, 0.6, 1.73]", "[0.8, 0, 1.73]", "sizes is .0.8, 0.0, 1.73., not a length, a width and a height above 0"),
     ("'KittiDataset'", "'MyDataset'", "above the ground is not known|intensities"),
 ]
 
