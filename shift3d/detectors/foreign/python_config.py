@@ -24,7 +24,8 @@ _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Div: operator.truediv,
     ast.FloorDiv: operator.floordiv,
 }
-_LARGEST = 100_000  # largest length of a list or text that arithmetic may make
+_LARGEST = 100_000  # largest length of a list or text in arithmetic
+_LARGEST_NUMBER = 10**30
 
 
 class _NotDataError(Exception):
@@ -138,10 +139,9 @@ def _plain(value: Any) -> Any:
 
 
 def _sized(combine: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
-    """Compute a binary operation; refuse to make lists or texts longer than _LARGEST."""
-    if combine is operator.mul:
-        sizes = [len(side) for side in (left, right) if isinstance(side, list | tuple | str)]
-        counts = [side for side in (left, right) if isinstance(side, int)]
-        if sizes and counts and sizes[0] * counts[0] > _LARGEST:
-            raise _NotDataError
+    """Compute a binary operation; refuse lists, texts and numbers whose repeated sums or products fill the memory."""
+    sizes = [len(side) if isinstance(side, list | tuple | str) else 0 for side in (left, right)]
+    counts = [side for side in (left, right) if isinstance(side, int)]
+    if max(sizes) * max(counts, default=1) > _LARGEST or any(abs(count) > _LARGEST_NUMBER for count in counts):
+        raise _NotDataError
     return combine(left, right)

@@ -10,6 +10,7 @@ from foreign_cases import CASES
 from foreign_configs import mm_centerpoint, mm_pointpillars, pcd_pointpillar
 
 from shift3d.detectors.foreign.config_common import ForeignOverrides
+from shift3d.detectors.foreign.config_section import UnevaluatedExpression
 from shift3d.detectors.foreign.detector import foreign_layout
 from shift3d.detectors.foreign.python_config import read_python_config
 from shift3d.errors import InputError
@@ -194,6 +195,13 @@ def test_values_of_python_configs(tmp_path: Path) -> None:
     assert (found["a"], found["s"], found["q"]) == (3, [0, -1.5, 6], {"p": (0, 1.5)})
     assert found["t"] == {"x": 1, "y": {"z": 2, "w": 6}} and found["u"] == {"m": 3} and found["list_"] == [5]
     assert not isinstance(found["big"], str)
+
+
+@pytest.mark.parametrize(("first", "then"), [("[0] * 1000", "x + x"), ("9", "x * x"), ("'ab'", "x * 9000")])
+def test_arithmetic_that_would_fill_the_memory_is_not_done(first: str, then: str, tmp_path: Path) -> None:
+    path = tmp_path / "top.py"
+    path.write_text(f"x = {first}\n" + f"x = {then}\n" * 40)
+    assert isinstance(read_python_config(path)["x"], UnevaluatedExpression)
 
 
 def test_broken_python_configs(tmp_path: Path) -> None:
