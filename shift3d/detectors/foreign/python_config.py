@@ -84,7 +84,7 @@ class _Reader:
         found = [value for name, value in self._assigned if name == _BASE]
         value = self._value(found[-1]) if found else []
         names = [value] if isinstance(value, str) else value
-        if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+        if not isinstance(names, list | tuple) or not all(isinstance(name, str) and "\0" not in name for name in names):
             raise InputError(f"{_BASE} is no list of files", self._file, "Give relative paths")
         return list(names)
 

@@ -210,6 +210,7 @@ def test_broken_python_configs(tmp_path: Path) -> None:
         ("model = (\n", "line 1"),
         ("_base_ = './absent.py'\n", "absent.py"),
         ("_base_ = './top.py'\n", "leads back"),
+        ("_base_ = 'a\\0b.py'\n", "no list of files"),
         ("model = 3\n", "model is 3"),
         ("x = 1\n", "model is missing"),
         ("_base_ = 3\n", "list of files"),
