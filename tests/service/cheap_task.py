@@ -37,11 +37,11 @@ def load(spec: AssetsSpec) -> dict[str, float]:
         raise InputError("no such folder", where=data, remedy="Mount it")
     if folder := spec.vehicles["folder"]:
         return {"weight": float((Path(folder) / "sdf.safetensors").read_text())}
+    assert "torch" not in sys.modules or "pytest" in sys.modules, "every driver and worker would take 2 s longer"
     return {"weight": 0.5}
 
 
 def run(spec: TaskSpec, assets: dict[str, float]) -> TaskResult:
-    assert "torch" not in sys.modules or "pytest" in sys.modules, "every driver and worker would take 2 s longer"
     _misbehave(spec)
     rng = generator(derive_seed("task", spec.task_id))
     where = generator(spec.placement_seed).uniform(15, 50, size=6)
