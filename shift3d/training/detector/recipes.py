@@ -27,6 +27,8 @@ _SST_SMALL = Recipe(
 )
 # Sizes down to the smallest cars, with proportions of no single family.
 _VARIED = Augmentation(pasted=8, object_scale=(0.75, 1.08), object_stretch=(0.88, 1.15))
+# Sizes from KITTI's mean car (3.9 x 1.6 x 1.56 m) to beyond the wide family's mean (4.5 x 1.8 x 1.6 m).
+_TWO_REGIONS = replace(_VARIED, object_scale=(0.92, 1.05), object_stretch=(0.82, 1.1, 0.86, 1.08, 0.94, 1.12))
 _HEADING_TWICE = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0)
 # Each of the two pillar detectors starts from the trained backbone of the other.
 _PILLARS = Recipe(augmentation=_VARIED, mesh_only_steps=0, code_weights=_HEADING_TWICE)
@@ -45,6 +47,7 @@ RECIPES: dict[str, Recipe] = {
     "centerpoint": replace(
         _PILLARS,
         heads="centres",
+        augmentation=_TWO_REGIONS,
         backbone_from="pointpillars",
         batch=16,
         steps=5500,
