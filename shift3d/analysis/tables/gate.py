@@ -65,8 +65,8 @@ class Comparison:
         """Count the objects of a role: number, detected before, lost and gained since."""
         rows = self.rows[self.rows["role"] == role]
         before, after = rows["detected_before"], rows["detected"]
-        masks = {"number": before | True, "detected_before": before, "lost": before & ~after, "gained": ~before & after}
-        return {name: int(mask.sum()) for name, mask in masks.items()}
+        masks = {"detected_before": before, "lost": before & ~after, "gained": ~before & after}
+        return {"number": len(rows), **{name: int(mask.sum()) for name, mask in masks.items()}}
 
     @property
     def detectable(self) -> float | None:
