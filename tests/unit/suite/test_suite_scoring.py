@@ -71,14 +71,14 @@ def test_a_background_that_is_gone_or_torn_is_named(suite: FrozenSuite, scorer: 
         list(score_suite(suite, scorer, as_location(tmp_path / "out")))
 
 
-def test_an_object_on_which_the_detector_fails_is_named(suite: FrozenSuite, tmp_path: Path) -> None:
-    """tests/unit/training/test_detector_evaluation.py checks that the error of a worker is that of this process."""
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_object_on_which_the_detector_fails_is_named(suite: FrozenSuite, tmp_path: Path, workers: int) -> None:
     module = Path(write_detector(tmp_path)[0])
     fails = "    def model(points):\n        assert len(points) != 301, 'odd'\n"
     module.write_text(module.read_text().replace("    def model(points):\n", fails))
     first = suite.objects.iloc[0]
     with pytest.raises(InputError) as refused:
-        list(score_suite(suite, Scorer("own", None, str(module)), as_location(tmp_path / "out")))
+        list(score_suite(suite, Scorer("own", None, str(module)), as_location(tmp_path / "out"), workers))
     assert f"odd, at object {first['object_id'][:12]} in scene {first['scene']}" in str(refused.value)
 
 
