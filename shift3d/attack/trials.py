@@ -108,7 +108,7 @@ class SearchEvaluator:
         self._warm: list[WarmStart | None] = [None] * len(self._places)
 
     def evaluate(self, variable: Tensor, with_gradient: bool, shifts: Sequence[Tensor] = ()) -> Tensor | None:
-        """Evaluate a variable and record it as the next step; returns the gradient of the loss, None if not asked for.
+        """Evaluate a variable and record it as the next step; returns the gradient of the loss, None if not requested.
 
         shifts: changes of the pose, (6,) each; loss and gradient are the mean over the pose, its shifts, and the
         search's other places. The validity of the step is that of the unshifted pose, which is measured first. The

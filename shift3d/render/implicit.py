@@ -113,7 +113,7 @@ def cosine_of_incidence(directions: Tensor, points: Tensor, field: ObjectField, 
 
 
 def wants_gradient(theta: Tensor, with_code: bool) -> bool:
-    """True if the gradient of a rendering can be asked for."""
+    """True if the gradient of a rendering can be requested."""
     return torch.is_grad_enabled() and (with_code or theta.requires_grad)
 
 

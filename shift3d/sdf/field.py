@@ -157,7 +157,7 @@ _UNITS = 32  # libraries compile code for every matrix size, so the number of si
 
 
 def _round_units(live: Tensor) -> Tensor:
-    """Return (n,) ascending indices: the live units, filled up with others until n is a multiple of `_UNITS`."""
+    """Return (n,) ascending indices: the active units, filled up with others until n is a multiple of `_UNITS`."""
     on, off = torch.nonzero(live).squeeze(1), torch.nonzero(~live).squeeze(1)
     missing = min(-len(on) % _UNITS, len(off))
     return torch.cat((on, off[:missing])).sort().values

@@ -31,9 +31,9 @@ def write_arrays(path: Path, **arrays: Any) -> None:
 
 @contextmanager
 def read_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
-    """Yield the arrays of a file of `write_arrays` by name; each is read when it is asked for.
+    """Yield the arrays of a file of `write_arrays` by name; each is read when it is requested.
 
-    Raises: InputError naming the file if it cannot be read, is damaged, or lacks an array that is asked for.
+    Raises: InputError naming the file if it cannot be read, is damaged, or lacks a requested array.
     """
     try:
         with np.load(path, allow_pickle=False) as arrays:

@@ -128,7 +128,7 @@ class Worker:
         """Run tasks in order.
 
         Args:
-            stop: asked before each task; after True, the remaining tasks are in neither list of the outcome.
+            stop: called before each task; after True, the remaining tasks are in neither list of the outcome.
             first_attempt: number of the first try, for ``attempts``.
         """
         began = time.perf_counter()

@@ -167,7 +167,7 @@ def train_on_scenes(
         keep_statistics: batch norms compute as at inference from the first step, with the statistics of `start`.
     Returns: the network on its device, in evaluation mode.
     Raises: InputError if the recipe is invalid, the checkpoint is of another recipe, scenes or start, or the loss is
-    not finite; KeyboardInterrupt when asked to stop, after the checkpoint is written.
+    not finite; KeyboardInterrupt on SIGINT or SIGTERM, after the checkpoint is written.
     """
     recipe.validate()
     compute.prepare()

@@ -54,7 +54,7 @@ def train_detector(
         report: see :func:`train_on_scenes`.
     Raises: InputError when the recipe is invalid, weights to start from are missing, the scenes hold no vehicle, the
     checkpoint is of another recipe, other scenes or another start, or the training diverges: then weights_file stays as
-    it was; KeyboardInterrupt when asked to stop.
+    it was; KeyboardInterrupt on SIGINT or SIGTERM.
     """
     recipe.validate()
     begun_with = start_file(recipe, start_from)

@@ -110,8 +110,8 @@ class DecoderRun(ABC):
 def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -> None:
     """Run all remaining steps, from the checkpoint if there is one; replace the checkpoint every `every` steps.
 
-    Raises InputError: the checkpoint is of another recipe, or the loss is not finite; KeyboardInterrupt when asked to
-    stop, after the checkpoint is written.
+    Raises InputError: the checkpoint is of another recipe, or the loss is not finite; KeyboardInterrupt on SIGINT or
+    SIGTERM, after the checkpoint is written.
     """
     if file.is_file():
         run.restore(read_checkpoint(file), str(file))

@@ -111,7 +111,7 @@ def train_parametric(
 ) -> Path:
     """Train, or resume, and write the checkpoint (decoder, basis, recipe) to `out`. Returns its path.
 
-    Raises: InputError when `out` holds another recipe's training; KeyboardInterrupt when asked to stop.
+    Raises: InputError when `out` holds another recipe's training; KeyboardInterrupt on SIGINT or SIGTERM.
     """
     compute.prepare()
     file = out / CHECKPOINT

@@ -96,7 +96,7 @@ def train_sdf(
         compute: default the CPU, one thread; another number of threads only changes the rounding.
         report: called with the curve's points after every checkpoint.
     Returns: the finished checkpoint.
-    Raises: InputError when `out` holds another recipe's training; KeyboardInterrupt when asked to stop.
+    Raises: InputError when `out` holds another recipe's training; KeyboardInterrupt on SIGINT or SIGTERM.
     Source: Park et al. 2019, section 4; see the module for our choices.
     """
     recipe = recipe or SdfRecipe()
