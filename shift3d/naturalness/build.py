@@ -6,9 +6,8 @@ import contextlib
 import fcntl
 import functools
 import hashlib
-import multiprocessing
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,7 @@ from shift3d.naturalness.reference import (
 from shift3d.naturalness.sizes import published_ranges
 from shift3d.naturalness.sources import Build, ReferenceSource, source_hash
 from shift3d.naturalness.surface import surface_of_mesh
+from shift3d.processes import process_pool
 from shift3d.store.user_cache import program_digest, user_cache
 from shift3d.wording import counted
 
@@ -90,8 +90,7 @@ def _built(builds: Sequence[Build]) -> Iterator[Member]:
     if len(builds) < _LEAST_FOR_PROCESSES:
         yield from map(_member, builds)
         return
-    # Spawned, not forked: the caller may hold threads with locks.
-    with ProcessPoolExecutor(_PROCESSES, multiprocessing.get_context("spawn")) as pool:
+    with process_pool(_PROCESSES) as pool:
         yield from pool.map(_member, builds, chunksize=16)
 
 

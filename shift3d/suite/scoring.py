@@ -13,12 +13,12 @@ import torch
 from shift3d.detectors.base import Detector
 from shift3d.detectors.loading import detector_of
 from shift3d.errors import InputError
+from shift3d.processes import each
 from shift3d.settings.catalogue.detector_files import detector_hash
 from shift3d.store.location import Location
 from shift3d.suite.frozen import FrozenSuite, box_of
 from shift3d.suite.tables import read_suite_table, suite_table, suite_table_bytes
 from shift3d.task.scoring import score_box
-from shift3d.training.processes import each
 
 
 @dataclass

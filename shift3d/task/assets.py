@@ -16,6 +16,7 @@ from shift3d.errors import InputError
 from shift3d.naturalness.build import load_reference
 from shift3d.naturalness.measure import NaturalnessMeasure, NaturalnessMeter
 from shift3d.naturalness.sources import reference_source, source_hash
+from shift3d.processes import threads
 from shift3d.render.beams import Beams
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import PRESETS, STANDARD, RenderSettings
@@ -31,7 +32,6 @@ from shift3d.task.exchange import AssetsSpec
 from shift3d.task.grid_cache import cached_grid
 from shift3d.task.measure_cache import cached_measures
 from shift3d.task.spec import TaskSpec
-from shift3d.training.processes import threads
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
 

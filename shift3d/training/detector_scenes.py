@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.processes import each
 from shift3d.progress_bar import progress_bar
 from shift3d.scenes.scene import Scene
 from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.user_cache import program_digest
-from shift3d.training.processes import each
 
 # Source code that makes the scenes, including scenes with an object of a sweep.
 _CODE = (

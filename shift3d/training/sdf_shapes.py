@@ -9,12 +9,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from shift3d.processes import each
 from shift3d.progress_bar import progress_bar
 from shift3d.sdf.samples import bounding_scale, sample_sdf
 from shift3d.seeding import generator
 from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.user_cache import program_digest
-from shift3d.training.processes import each
 from shift3d.vehicles.family import VehicleSpec, build_mesh, family
 
 _CODE = ("sdf/samples.py", "seeding.py", "training/sdf_shapes.py", "vehicles/family")

@@ -6,11 +6,10 @@ One core makes about twenty examples a second.
 from __future__ import annotations
 
 import copy
-import multiprocessing
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +19,7 @@ from torch import Tensor
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Pillars, assign_pillars
 from shift3d.detectors.models.network import DetectorNet
+from shift3d.processes import process_pool
 from shift3d.training.detector.crop_sampling import RandomCrops
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.objective import Objective, map_fields
@@ -70,25 +70,22 @@ class BatchMaker:
 def batches(maker: BatchMaker, steps: range, workers: int) -> Iterator[Batch]:
     """Yield the batch of each step, in order. workers: processes that make them; 0: one thread of this process."""
     if workers:
-        context = multiprocessing.get_context("spawn")  # a fork would copy CUDA's state and the locks of threads
-        pool = ProcessPoolExecutor(workers, context, _open, (maker,))
-        for step, examples in _in_order(pool, _made_arrays, steps, AHEAD * workers):
-            yield step, [example.each(torch.from_numpy) for example in examples]
+        with process_pool(workers, _open, maker) as pool:
+            for step, examples in _in_order(pool, _made_arrays, steps, AHEAD * workers):
+                yield step, [example.each(torch.from_numpy) for example in examples]
     else:
-        yield from _in_order(ThreadPoolExecutor(1), maker.of, steps, 1)
+        with ThreadPoolExecutor(1) as thread:
+            yield from _in_order(thread, maker.of, steps, 1)
 
 
 def _in_order(pool: Executor, make: Callable[[int], Batch], steps: range, ahead: int) -> Iterator[Batch]:
-    """Yield the results of `make` for each step in order, `ahead` of them in progress; close the pool at the end."""
+    """Yield the results of `make` for each step in order, `ahead` of them in progress."""
     coming: deque[Future[Batch]] = deque(pool.submit(make, step) for step in steps[:ahead])
-    try:
-        for step in steps:
-            batch = coming.popleft().result()
-            if step + ahead in steps:
-                coming.append(pool.submit(make, step + ahead))
-            yield batch
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    for step in steps:
+        batch = coming.popleft().result()
+        if step + ahead in steps:
+            coming.append(pool.submit(make, step + ahead))
+        yield batch
 
 
 _maker: BatchMaker | None = None

@@ -16,13 +16,13 @@ import torch
 
 from shift3d.detectors.base import Detector
 from shift3d.evaluation.frames import DetectedFrame, FrameDetections, GroundTruth
+from shift3d.processes import each, threads
 from shift3d.scenes.kitti.files import Calibration
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.training.detector_scenes import network_points
-from shift3d.training.processes import each, threads
 
 # Waymo's second score cut-off. Detectors keep the best 4096 boxes before non-maximum suppression, whatever their score:
 # if 4096 boxes score above 0.1, a lower floor has neither a cost nor an effect.

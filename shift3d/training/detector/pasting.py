@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.processes import each
 from shift3d.training.detector.recipe import Augmentation
 from shift3d.training.detector_scenes import MARGIN_M, TrainingScene, load_cached
-from shift3d.training.processes import each
 
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]

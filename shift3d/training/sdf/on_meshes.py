@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.processes import each
 from shift3d.processor import has_fast_bfloat16
 from shift3d.progress_bar import progress_bar
 from shift3d.sdf.decoder import Decoder
@@ -24,7 +25,6 @@ from shift3d.store.atomic import write_atomic
 from shift3d.store.user_cache import digest_of, program_digest
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, restore_subnormals
-from shift3d.training.processes import each
 from shift3d.training.progress import Report
 from shift3d.training.provenance import versions
 from shift3d.training.sdf.export import scaled_decoder

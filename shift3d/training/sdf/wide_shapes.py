@@ -11,12 +11,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from shift3d.processes import each
 from shift3d.progress_bar import progress_bar
 from shift3d.sdf.samples import SPHERE_MARGIN, sample_sdf_within
 from shift3d.seeding import generator
 from shift3d.store.arrays import read_arrays, write_arrays
 from shift3d.store.user_cache import program_digest
-from shift3d.training.processes import each
 from shift3d.vehicles.family.parameters import ParameterTable, is_symmetric, parameter_table
 from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_family
 
