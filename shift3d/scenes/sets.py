@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.scenes.file_checks import abbreviated_list
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.street.options import PLAIN, StreetOptions, check_traffic
+from shift3d.scenes.street.options import PLAIN, StreetOptions, check_choice, check_split
 from shift3d.store.resolve import LocationLike, as_location
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from shift3d.store.location import Location
 
 STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
-STREET_SPLITS = ("train", "val", "test")
 _STREET = re.compile(r"(street-[a-z]+-([a-z0-9_]+)-\d{6,})(?:-(?!seed\d+$)[a-z0-9._-]+?)?(-seed\d+)?")
 _BY_DRIVE = ("waymo", "argoverse2")
 """Data sets whose frames are named "DRIVE-TIMESTAMP", with ten frames a second of one drive."""
@@ -173,13 +172,11 @@ class StreetScenes(SceneSet):
         start: int = 0,
         options: StreetOptions = PLAIN,
     ) -> None:
-        for value, field, choices in ((sensor, "sensor", STREET_SENSORS), (split, "split", STREET_SPLITS)):
-            if value not in choices:
-                raise InputError(f"unknown {field} {value!r}", "street scenes", f"Choose from {', '.join(choices)}.")
+        check_choice("sensor", sensor, STREET_SENSORS)
+        check_split(split, options.traffic)
         if count < 1 or start < 0 or seed < 0:
             what = f"count={count}, start={start}, seed={seed}"
             raise InputError(what, "street scenes", "Give count >= 1, start >= 0, seed >= 0.")
-        check_traffic(options.traffic, split)
         self.sensor, self.seed, self.count, self.split, self.start = sensor, seed, count, split, start
         self.options = options
 

@@ -15,7 +15,7 @@ from shift3d.scenes.sensor import SensorModel
 from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.build.layout import Layout, sample_layout
 from shift3d.scenes.street.build.world import PlacedVehicle, World
-from shift3d.scenes.street.options import PLAIN, StreetOptions
+from shift3d.scenes.street.options import PLAIN, StreetOptions, check_choice
 from shift3d.scenes.street.raycast import Sweep
 from shift3d.scenes.street.returns import Echoes, Paint, finish, no_return_beams, sensor_model
 from shift3d.scenes.street.second_hits import second_returns
@@ -39,9 +39,9 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
     in their box. If the sensor moves, boxes and counts are those of time 0: points in the moving sensor's frame lie
     beside them.
 
-    Raises InputError: held-out traffic on training streets. Source: our choice.
+    Raises InputError: an unknown sensor or split, or held-out traffic on training streets. Source: our choice.
     """
-    sensor = SENSORS[sensor_name]
+    sensor = _sensor_of_streets(sensor_name)
     parts = ("street-scene", split, seed, index, sensor_name)
     layout, world = _street(parts, sensor, options)
     seen_by = scanning_sensor(sensor, options)
@@ -69,7 +69,12 @@ def street_vehicles(
 ) -> tuple[PlacedVehicle, ...]:
     """Return all vehicles of `street_scene` with their meshes, hit or not: the ground truth behind labels."""
     parts = ("street-scene", split, seed, index, sensor_name)
-    return _street(parts, SENSORS[sensor_name], options)[1].vehicles
+    return _street(parts, _sensor_of_streets(sensor_name), options)[1].vehicles
+
+
+def _sensor_of_streets(name: str) -> Sensor:
+    check_choice("sensor", name, SENSORS)
+    return SENSORS[name]
 
 
 def _street(parts: tuple[str | int, ...], sensor: Sensor, options: StreetOptions) -> tuple[Layout, World]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from decimal import Decimal
 
 from shift3d.errors import InputError
 from shift3d.scenes.scene import WEATHER_FIELDS
 
+STREET_SPLITS = ("train", "val", "test")
 TRAFFIC = ("family", "wide", "held_out")
 WEATHER_STRENGTHS = {"rain": 10.0, "fog": 100.0, "snow": 1.0}
 """Default strength of each weather of streets (our choice): heavy rain, thick fog, moderate snow."""
@@ -58,8 +60,7 @@ class StreetOptions:
         if self.beams is not None:
             choices["beams"] = BEAM_NAMES
         for name, known in choices.items():
-            if (value := getattr(self, name)) not in known:
-                raise InputError(f"unknown {name} {value!r}", _WHERE, f"Choose from {', '.join(known)}")
+            check_choice(name, getattr(self, name), known)
         for weather, usual in WEATHER_STRENGTHS.items():
             self._fill_in(weather, WEATHER_FIELDS[weather], usual)
         if not 0.0 <= self.ego_speed_m_s <= LIMITS["ego_speed_m_s"]:
@@ -107,8 +108,15 @@ class StreetOptions:
         return "".join(f"-{word}" for word in words)
 
 
-def check_traffic(traffic: str, split: str) -> None:
-    """Refuse held-out kinds on training streets. Raises InputError."""
+def check_choice(field: str, value: str, known: Iterable[str]) -> None:
+    """Refuse a value that is not one of the known ones. Raises InputError: naming the field."""
+    if value not in known:
+        raise InputError(f"unknown {field} {value!r}", _WHERE, f"Choose from {', '.join(known)}")
+
+
+def check_split(split: str, traffic: str) -> None:
+    """Refuse an unknown split, and held-out kinds on training streets. Raises InputError."""
+    check_choice("split", split, STREET_SPLITS)
     if traffic == "held_out" and split == "train":
         what = "traffic=held_out with split=train: training must not see what attacks and evaluation hold out"
         raise InputError(what, _WHERE, "Set traffic=wide, or split=val or test")

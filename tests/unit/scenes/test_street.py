@@ -138,3 +138,7 @@ def test_set_names_and_unknown_names() -> None:
         StreetScenes(split="dev")
     with pytest.raises(InputError, match="count=0"):
         StreetScenes(count=0)
+    with pytest.raises(InputError, match=r"unknown sensor 'mixed'\. Choose from hdl64, waymo_top"):
+        street_scene("test", 0, 0, "mixed")
+    with pytest.raises(InputError, match="unknown split 'dev'"):
+        street_scene("dev", 0, 0, "hdl64")

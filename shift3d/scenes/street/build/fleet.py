@@ -12,7 +12,7 @@ import numpy as np
 
 from shift3d.scenes.street.build.item import Size
 from shift3d.scenes.street.build.pool import PoolVehicle, glass_band_m, pool_vehicle
-from shift3d.scenes.street.options import check_traffic
+from shift3d.scenes.street.options import check_split
 from shift3d.scenes.street.raycast import Intersector
 from shift3d.seeding import derive_seed
 
@@ -38,12 +38,12 @@ class Fleet:
 
 
 def fleet_of(traffic: str, split: str) -> Fleet:
-    """Return the fleet for a street's option `traffic`. Raises InputError for held-out traffic on split train.
+    """Return the fleet for a street's option `traffic`. Raises InputError: as `check_split`.
 
     family: pool of vehicles of the embedded family, see `pool`. wide, held_out: vehicles of the wide family, a
     different one for each variant; the splits share none. held_out: every second vehicle has an unseen kind.
     """
-    check_traffic(traffic, split)
+    check_split(split, traffic)
     if traffic == "family":
         return Fleet(lambda variant: _FAMILY_SLOT_M, functools.partial(pool_vehicle, split))
     held_out = traffic == "held_out"
