@@ -154,7 +154,8 @@ def evaluate_detector(
     if not seen:
         return text
     of = f"{len(seen)} of these {counted(len(scene_names), 'scene')}"
-    return f"{text}\nwarning: {file} was trained on {of}; on other scenes expect a lower AP"
+    same = "If they are the same frames, expect a lower AP on other scenes"
+    return f"{text}\nwarning: {file} was trained on frames with the names of {of}. {same}"
 
 
 def _state(scenes: SceneSet, detector: str, name: str) -> str:

@@ -95,8 +95,9 @@ def refuse_tuned_scenes(weights_file: Path, scenes: Collection[tuple[str, str, s
 
 
 def trained_frames(weights_file: Path, scenes: Collection[tuple[str, str, str]]) -> list[str]:
-    """Return the names of the measured scenes on which weights, or the weights they started from, were trained.
+    """Return the measured scenes' names that frames of the training of weights, or of their start, have too.
 
+    The provenance holds names, no content: frames of equal names in another folder count too.
     scenes: as in `shared_scenes`. Raises: InputError naming a provenance file that cannot be read.
     """
     made_on = [facts["scenes"] for facts in _history(weights_file) if isinstance(facts.get("scenes"), dict)]
