@@ -153,7 +153,7 @@ def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFac
             raise InputError(what, "effects", NEEDS[name].remedy)
     impacts = measured_impact()
     return [
-        Choice(name, True, "asked for", impacts[name].milliseconds if name in impacts else None)
+        Choice(name, True, "requested", impacts[name].milliseconds if name in impacts else None)
         for name in NEEDS
         if name in wanted
     ]

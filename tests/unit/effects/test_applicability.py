@@ -205,7 +205,7 @@ def test_a_forced_effect_is_used_whether_it_applies_or_not():
     scene = dataclasses.replace(dry_scene(), sensor=SensorModel(range_noise_m=1e-7))
     assert called(scene) == []
     assert choose(["range_noise"], SceneFacts.of(scene), COORDINATES) == [
-        Choice("range_noise", True, "asked for", None)
+        Choice("range_noise", True, "requested", None)
     ]
 
 
@@ -264,7 +264,7 @@ def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(impact_file):
 def test_what_was_measured_does_not_overrule_a_list(impact_file):
     measured(impact_file, range_noise=0.0)
     facts = SceneFacts.of(with_data("range_noise"))
-    assert choose(["range_noise"], facts, COORDINATES) == [Choice("range_noise", True, "asked for", 2.5)]
+    assert choose(["range_noise"], facts, COORDINATES) == [Choice("range_noise", True, "requested", 2.5)]
 
 
 def test_what_was_measured_calls_for_nothing_by_itself(impact_file):
