@@ -49,6 +49,8 @@ class OnnxDetector(ScoresOnlyDetector):
             boxes, scores = self._session.run(["boxes", "scores"], {self._input: np.ascontiguousarray(rows)})
         except Exception as error:  # errors of ONNX Runtime have no narrower base class
             raise InputError(f"it fails on {len(rows)} points: {_line(error)}", self.where, _GUIDE) from error
+        if not (isinstance(boxes, np.ndarray) and isinstance(scores, np.ndarray)):
+            raise InputError("boxes or scores are sparse tensors", self.where, _GUIDE)
         return boxes, scores
 
 

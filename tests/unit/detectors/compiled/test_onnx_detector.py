@@ -107,6 +107,19 @@ def test_what_is_no_detector_is_refused_in_one_line(tmp_path: Path, parts: dict[
     assert "mine.onnx" in str(caught.value) and caught.value.remedy and "\n" not in str(caught.value)
 
 
+def test_sparse_outputs_are_refused(tmp_path: Path) -> None:
+    """ONNX Runtime calls them tensor(float) until it answers with them."""
+    file = model()
+    values = [
+        onnx.numpy_helper.from_array(part, name) for part, name in ((BOXES.ravel(), "boxes"), (np.arange(14), ""))
+    ]
+    file.graph.sparse_initializer.append(helper.make_sparse_tensor(*values, [2, 7]))
+    file.graph.node.remove(next(node for node in file.graph.node if list(node.output) == ["boxes"]))
+    onnx.save_model(file, tmp_path / "mine.onnx")
+    with pytest.raises(InputError, match=r"mine\.onnx: boxes or scores are sparse"):
+        load_onnx(tmp_path / "mine.onnx")
+
+
 def test_scores_are_no_logits(tmp_path: Path) -> None:
     nodes = [*graph_nodes()[:-2], helper.make_node("Identity", ["logits"], ["scores"]), graph_nodes()[-1]]
     with pytest.raises(InputError, match=r"scores reach from .* not within \[0, 1\]. Put a Sigmoid"):
