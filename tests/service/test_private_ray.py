@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import stat
 import subprocess
@@ -16,9 +17,10 @@ from ray._private import ray_constants
 
 STARTS = """
 import sys
+import time
 from shift3d.settings.compose import compose_sweep, validate
 from shift3d.errors import InputError
-from shift3d.sweep.execution.ray.connection import connect
+from shift3d.sweep.execution.ray.connection import connect, ended_process
 
 address = sys.argv[1] if len(sys.argv) > 1 else None
 words = ["runner.workers=1", f"runner.address={address or 'null'}"]
@@ -27,8 +29,10 @@ try:
 except InputError as error:
     sys.exit(str(error))
 print(ray.get_runtime_context().gcs_address, flush=True)
-if address is None:
-    sys.stdin.read()
+if address is None and sys.stdin.read():
+    while not (error := ended_process(ray)):
+        time.sleep(0.05)
+    print(error, flush=True)
 ray.shutdown()
 """
 
@@ -131,3 +135,14 @@ def test_an_address_where_nobody_answers_is_said_at_once(private_ray: PrivateRay
     refused = joins(nobody, tmp_path, RAY_AUTH_TOKEN_PATH=str(private_ray.token))
     assert refused.returncode == 1
     assert "runner.address=127.0.0.1:9" in refused.stderr and "Connection refused" in refused.stderr
+
+
+def test_the_driver_says_which_process_of_its_ray_was_killed(private_ray: PrivateRay) -> None:
+    """It is the last test with this Ray."""
+    commands = {pid: Path(f"/proc/{pid}/cmdline").read_text() for pid in descendants(private_ray.process.pid)}
+    os.kill(next(pid for pid, command in commands.items() if "raylet/raylet" in command), signal.SIGKILL)
+    assert private_ray.process.stdin and private_ray.process.stdout
+    private_ray.process.stdin.write("killed")
+    private_ray.process.stdin.close()
+    said = private_ray.process.stdout.read()  # with lines of Ray's own
+    assert "this machine: Ray's raylet ended early" in said and "it resumes" in said

@@ -24,7 +24,7 @@ from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.backlog import Backlog, BatchSizer
 from shift3d.sweep.execution.ray.calls import Call, Calls
-from shift3d.sweep.execution.ray.connection import connect
+from shift3d.sweep.execution.ray.connection import connect, ended_process
 from shift3d.sweep.execution.ray.excluded_machines import MAX_UNREADABLE_SCENES
 from shift3d.sweep.execution.ray.failures import Failure, failure_of
 from shift3d.sweep.execution.ray.hang_detector import HangDetector
@@ -94,6 +94,9 @@ class RayRunner:
     def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
         self._backlog = Backlog(positions, self._tried)
         while self._calls or (self._backlog and not stop.is_set()):
+            if error := ended_process(self._ray):
+                yield BatchOutcome(fatal=error)
+                return
             self._pool.grow(len(self._backlog) + len(self._calls))
             self._give_out(stop)
             waited = [*self._calls.references, *self._pool.starting]
