@@ -45,6 +45,8 @@ tab completion (bash, zsh):
 
 
 _RESUMES = "; the same command resumes"
+_NO_MEMORY = ("failed to map segment", "can't allocate memory")
+"""Words of an ImportError, from the loader of shared libraries, and of torch's RuntimeError."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -150,6 +152,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if (problem := disk_error(error)) is None:
             raise
         return _report(problem, parsed)
+    except (MemoryError, ImportError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and not any(words in str(error) for words in _NO_MEMORY):
+            raise
+        # No import here: it would fail, too.
+        remedy = f"Close other programs, or raise the limit (ulimit -v){_RESUMES if parsed.resumes else ''}"
+        print(f"shift3d {parsed.command}: memory ran out. {remedy}", file=sys.stderr)
+        return int(ExitCode.UNUSABLE)
 
 
 def _report(error: InputError, parsed: argparse.Namespace) -> int:

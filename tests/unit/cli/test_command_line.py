@@ -118,6 +118,20 @@ def test_an_interrupted_command_says_whether_it_resumes(command: str, says: str,
     assert running.stderr is not None and running.stderr.read() == f"shift3d {command}: {says}\n"
 
 
+def test_memory_that_runs_out_is_one_line(tmp_path: Path) -> None:
+    """The limit leaves no room for the libraries."""
+    code = """
+import resource, sys
+from shift3d.cli.main import main
+size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (size, size))
+sys.exit(main(["evaluate", "detector=sst_small", "count=1"]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("shift3d evaluate: memory ran out. Close other")
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_streams_that_the_parent_closed_are_dev_null(tmp_path: Path, closed: str) -> None:
     """A file that gets the number of a closed stream would hold messages of libraries."""
