@@ -18,15 +18,21 @@ _MEANING = {True: "effects=auto takes it: its interval reaches the line", False:
 
 
 def effects_figure(impacts: Mapping[str, MeasuredImpact]) -> Figure:
-    """Plot the change of the baseline's score against milliseconds; auto omits effects whose bar is below the line."""
+    """Plot the change of the baseline's score against milliseconds; auto omits effects whose bar is below the line.
+
+    An effect without a measured time is not drawn, nor is the bar of an infinite interval.
+    """
     figure = Figure(figsize=(7.2, 4.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     labels, bars = list[PointLabel](), list[FloatArray]()
     for effect, impact in impacts.items():
+        if np.isnan(impact.milliseconds):
+            continue
         x, y = max(impact.milliseconds, _LEAST_MS), max(impact.score_change, _LEAST)
         colour = "#d55e00" if impact.matters else "#707070"
-        bars.append(np.array([[x, max(impact.low, _LEAST)], [x, max(impact.high, _LEAST)]]))
-        axes.plot(*bars[-1].T, color=colour, lw=1.2)
+        if np.isfinite(impact.high):
+            bars.append(np.array([[x, max(impact.low, _LEAST)], [x, max(impact.high, _LEAST)]]))
+            axes.plot(*bars[-1].T, color=colour, lw=1.2)
         axes.plot(x, y, "o", color=colour, ms=5, label=_MEANING[impact.matters])
         labels.append(PointLabel(effect.replace("_", " "), x, y))
     axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--", label=f"a change of {IMPACT_BOUND:g}")

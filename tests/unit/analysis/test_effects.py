@@ -144,6 +144,16 @@ def test_an_effect_without_a_time_is_shown_and_never_adopted(
     assert "has no time of fog" in capsys.readouterr().err
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_page_has_effects_without_a_time_beside_others_and_effects_of_one_scene(tmp_path: Path) -> None:
+    scores, timings = tables({"fog": np.full(12, 0.2), "rain": np.full(12, 0.1)}, {"fog": 20.0, "rain": 30.0})
+    untimed = effect_impacts(scores, {"rain": 30.0})
+    one_scene = effect_impacts(scores[scores["scene"] == SCENES[0]], effect_milliseconds(scores, timings))
+    text = write_effects_page(tmp_path / "effects.html", "effects", untimed).read_text()
+    assert "fog: 0.200 for - ms; rain: 0.100 for 30 ms" in text
+    assert "(one scene)" in write_effects_page(tmp_path / "effects.html", "effects", one_scene).read_text()
+
+
 def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     groups = np.repeat(np.arange(200), 3)
