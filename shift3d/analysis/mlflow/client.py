@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import logging
 import os
@@ -22,6 +23,7 @@ _PATIENCE = {
     "MLFLOW_DISABLE_TELEMETRY": "true",
 }
 _LONGEST_PARAM = 500
+LONGEST_NAME = 250  # MLflow's own limit
 
 
 @contextlib.contextmanager
@@ -97,8 +99,12 @@ def rounded(value: float) -> float:
 
 
 def metric_name(text: str) -> str:
-    """Replace the characters that MLflow refuses in a name."""
-    return re.sub(r"[^\w\-. /]", "_", text)
+    """Replace the characters that MLflow refuses in a name; a hash replaces the end of a name that is too long."""
+    name = re.sub(r"[^\w\-. /]", "_", text)
+    if len(name) <= LONGEST_NAME:
+        return name
+    digest = hashlib.blake2b(name.encode(), digest_size=8).hexdigest()
+    return f"{name[: LONGEST_NAME - len(digest) - 1]}-{digest}"
 
 
 def flat(params: Mapping[str, Any], prefix: str = "") -> dict[str, str]:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, run_of
+from shift3d.analysis.mlflow.client import LONGEST_NAME, attempt, experiment_of, flat, log, open_client, run_of
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, machine_of, read_frontier
 
@@ -54,7 +54,6 @@ def mirror_measured(
 _FRONTIER_FILES = ("frontier.parquet", "frontier.png", "report.html", "advice.txt")
 # Columns that identify a row are not metrics.
 _NAMES = ("setting", "method", "knob", "knob_name", "preset", "start", "grid", "gradient", "scenes")
-_LONGEST_NAME = 250  # MLflow's own limit
 
 
 def mirror_frontier(folder: Path, uri: str, experiment: str) -> str | None:
@@ -81,7 +80,7 @@ def frontier_metrics(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     taken: set[str] = set()
     for row in rows:
         # Leave room for the longest column name and a number.
-        name = plain = f"{_clean(row['scenes'])}/{_clean(row['setting'])}"[: _LONGEST_NAME - 40].rstrip("/ .")
+        name = plain = f"{_clean(row['scenes'])}/{_clean(row['setting'])}"[: LONGEST_NAME - 40].rstrip("/ .")
         number = 2
         while name in taken:
             name, number = f"{plain} {number}", number + 1

@@ -125,6 +125,14 @@ def test_the_attacked_detectors_own_auc_has_one_name_whatever_other_detectors_sc
     assert set(more) == {*curves, "recall/shape/adversarial/q"}
 
 
+def test_names_beyond_mlflows_limit_are_shortened_and_stay_distinct(tmp_path: Path, uri: str) -> None:
+    vehicles = ["v" * 240 + end for end in ("_short", "_long")]
+    rows = [(name, "baseline", 1.0, [score], True) for name, score in zip(vehicles, (0.25, 0.75))]
+    assert mirror(record(tmp_path / "out", rows), uri, "shift3d") is None
+    metrics = runs_in(uri)[1].data.metrics
+    assert sorted(value for name, value in metrics.items() if name.startswith("auc/shape/v")) == [0.25, 0.75]
+
+
 def test_curves_are_recall_over_the_threshold_in_percent(mirrored: str) -> None:
     client, run, groups = runs_in(mirrored)
     curve = curve_of(client, groups["shape/coupe/adversarial/lambda=1"], "recall")
