@@ -112,7 +112,7 @@ def run_sweep(
     left = plan.tasks.without(log.finished() - again)
     if 0 < len(left) < len(plan.tasks) and not getattr(runner_config, "address", None):
         _note_processor(folder, kind.instructions())
-    status = StatusWriter(log, len(plan.tasks))
+    status = StatusWriter(log, len(left))
     status.write([], 0, "starting" if len(left) else "finished")
     came = 0
     if len(left):

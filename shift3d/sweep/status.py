@@ -40,11 +40,11 @@ State = Literal["starting", "running", "finished", "interrupted", "stopped"]
 
 
 class StatusWriter:
-    """Writer of the status file of a driver. log: of this driver. planned: tasks of the whole sweep."""
+    """Writer of the status file of a driver. log: of this driver. tasks: number of tasks that it runs."""
 
-    def __init__(self, log: CommitLog, planned: int) -> None:
+    def __init__(self, log: CommitLog, tasks: int) -> None:
         self._log = log
-        self._planned = planned
+        self._tasks = tasks
         self._began = time.monotonic()
         self._written = float("-inf")
         self._finished = 0
@@ -81,7 +81,7 @@ class StatusWriter:
             "pid_began": _began(os.getpid()),
             "state": state,
             "written_unix_s": time.time(),
-            "planned": self._planned,
+            "left": self._tasks - self._finished,
             "workers": workers,
             "per_s": self._finished / max(now - self._began, 1e-3),
             "worker_peak_mb": self._peak_mb,
@@ -176,6 +176,7 @@ def _read_progress(folder: Location) -> dict[str, Any] | None:
     try:
         progress = json.loads((folder / _FILE).read_bytes())
         numbers = [progress[name] for name in ("written_unix_s", "per_s", "workers", "pid", "running_calls")]
+        numbers.append(progress.get("left", 0))  # a driver of an older program does not say it
         texts = [progress[name] for name in ("driver", "host", "state")]
         calls = [(str(call["what"]), float(call["seconds"])) for call in progress["running"]]
         left_out = [str(line) for line in progress.get("left_out", ())]
@@ -201,7 +202,8 @@ def status_lines(status: SweepStatus) -> str:
         lines.append(f"last commit {duration(time.time() - committed)} ago")
     if alive == "running":
         rate = progress["per_s"]
-        eta = f", about {duration(status.left / rate)} left" if rate > 0 else ""
+        # The log counts a quarantined task that is retried as ended.
+        eta = f", about {duration(progress.get('left', status.left) / rate)} left" if rate > 0 else ""
         lines.append(f"{rate:.3g} tasks a second on {counted(progress['workers'], 'worker')}{eta}")
         if progress.get("worker_peak_mb"):
             lines.append(f"a worker uses up to {progress['worker_peak_mb']:.0f} MB")

@@ -78,6 +78,20 @@ def unfinished(folder: Path, state: str) -> CommitLog:
     return log
 
 
+def test_the_time_left_covers_quarantined_tasks_that_run_again(tmp_path: Path) -> None:
+    task = valid_sweeps.plan().tasks[1].spec.task_id
+    log = unfinished(tmp_path, "interrupted")
+    log.commit((), (task,), {})
+    writer = StatusWriter(log, 2)
+    writer.finished(1, 0.0)
+    time.sleep(0.1)
+    writer.write([], 1)
+    assert "1 quarantined, 0 left" in message(tmp_path)
+    speed = next(line for line in message(tmp_path).splitlines() if "tasks a second" in line)
+    rate, about = float(speed.split()[0]), speed.partition("about ")[2].split()
+    assert float(about[0]) * {"ms": 1e-3, "s": 1.0}[about[1]] == pytest.approx(1 / rate, rel=0.01), "one of two waits"
+
+
 def test_an_unfinished_sweep_that_was_compacted_is_what_its_driver_said(tmp_path: Path) -> None:
     unfinished(tmp_path, "interrupted")
     compact(tmp_path)
