@@ -41,11 +41,11 @@ class SweepRequest:
 def read_words(words: Sequence[str]) -> SweepRequest:
     """Parse the words of a command line. Raises: InputError: an unusable or damaged folder, or an unknown job."""
     from shift3d.cli.job_spec import pop_job
-    from shift3d.sweep.planning.spec_file import read_spec
+    from shift3d.sweep.planning.spec_file import read_spec, refuse_follow_up
 
     reuse, rest = pop_folders("reuse", words)
     for folder in reuse:
-        read_spec(folder)  # checked before the scenes are read, which may take minutes
+        refuse_follow_up(read_spec(folder), folder)  # checked before the scenes are read, which may take minutes
     job, typed = pop_job(rest)
     name, overrides, out = parse_name_and_overrides(_words_of_folder(typed))
     if job:

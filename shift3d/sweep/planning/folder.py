@@ -21,7 +21,7 @@ from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks, stored_effect_requests
-from shift3d.sweep.planning.spec_file import read_spec
+from shift3d.sweep.planning.spec_file import read_spec, refuse_follow_up
 from shift3d.task.exchange import AssetsSpec
 from shift3d.wording import counted
 
@@ -46,6 +46,8 @@ def check_folder(folder: LocationLike, plan: Plan) -> bool:
         if found["spec_hash"] != plan.spec_hash:
             remedy = "Choose another folder with out=DIR, or give the settings that it was begun with"
             raise InputError(f"holds another sweep ({_difference(found, plan)})", str(folder), remedy)
+        if not any(assets.results for assets in plan.assets):
+            refuse_follow_up(found, folder)
         _check_requests(folder, plan)
     elif not _empty_or_begun(folder):
         what = "is not the output folder of a sweep, and not empty"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
@@ -40,3 +41,14 @@ def read_spec(folder: LocationLike) -> dict[str, Any]:
         raise InputError(what, where=str(folder), remedy="Check the path") from error
     except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
         raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error
+
+
+def refuse_follow_up(spec: Mapping[str, Any], folder: LocationLike) -> None:
+    """Refuse a follow-up's folder, such as OUT/verification: its tasks have the ids of the sweep's, but no scores.
+
+    spec: of `read_spec`. Raises: InputError.
+    """
+    assets = spec.get("assets")
+    if isinstance(assets, list) and any(isinstance(part, dict) and part.get("results") for part in assets):
+        what = f"holds a follow-up of sweep {spec['sweep']}, not the sweep"
+        raise InputError(what, where=str(folder), remedy="Give the folder of the sweep, which holds this folder")

@@ -18,7 +18,7 @@ from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import SWEEP_TABLES
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.planning.spec_file import read_spec
+from shift3d.sweep.planning.spec_file import read_spec, refuse_follow_up
 
 _TASKS_A_COMMIT = 100_000
 
@@ -32,6 +32,7 @@ def copy_finished_tasks(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     Raises: InputError: the folder is no sweep's, of an unreadable schema version, or damaged; as `CommitLog.commit`.
     """
     spec, entries = read_spec(other), read_log(other)
+    refuse_follow_up(spec, other)
     foreign = [entry for entry in entries if entry.spec_hash != spec["spec_hash"]]
     if foreign:
         what = f"entry {foreign[0].sequence:08d}.json of its log is of another sweep"

@@ -1,15 +1,20 @@
-"""Rows taken over from another sweep carry this sweep's name."""
+"""Rows taken over from another sweep carry this sweep's name; a follow-up's folder has none to take over."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
 
+import pytest
+import valid_sweeps
 from by_hand import score_row
 
+from shift3d.errors import InputError
 from shift3d.store.log import CommitLog
+from shift3d.store.log_entries import read_log
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.worker import attempt_row
+from shift3d.sweep.follow_up import solved_tasks
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.results.final import write_final
@@ -32,3 +37,20 @@ def test_the_other_sweep_may_have_another_name_and_order(tmp_path: Path, suv_pla
     assert final.frame("scores")["sweep"].tolist() == ["default"] * 3
     assert final.frame("scores")["task_id"].tolist() == suv_plan.tasks.ids.to_pylist()[1::2]
     assert final.frame("attempts")["task_id"].tolist() == suv_plan.tasks.ids.to_pylist()[1::2]
+
+
+def test_a_follow_up_whose_tasks_have_the_ids_of_the_sweeps_is_neither_resumed_nor_reused(tmp_path: Path) -> None:
+    folder, plan = tmp_path / "sweep", valid_sweeps.plan()
+    valid_sweeps.write_sweep(folder)
+    write_final(folder, plan, read_log(folder))
+    follow_up = solved_tasks(folder)
+    for _ in range(2):  # the follow-up itself resumes
+        open_folder(folder / "patterns", follow_up)
+    log = CommitLog(folder / "patterns", follow_up.spec_hash)
+    log.commit(tuple(follow_up.tasks.ids.to_pylist()), (), {})
+    own = CommitLog(tmp_path / "own", plan.spec_hash)
+    with pytest.raises(InputError, match=r"patterns: holds a follow-up of sweep smoke.*Give the folder of the sweep"):
+        copy_finished_tasks(own, plan, folder / "patterns")
+    with pytest.raises(InputError, match="patterns: holds a follow-up of sweep smoke"):
+        open_folder(folder / "patterns", plan)
+    assert not own.done()
