@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -105,7 +106,9 @@ def read_final(folder: LocationLike, name: str) -> pa.Table:
     """Read a table of a sweep's ``final/``. Raises InputError as `read_table`, or if the sweep has not finished."""
     path = as_location(folder) / "final" / f"{name}.parquet"
     if not path.is_file():
-        raise InputError("the sweep is not finished", str(folder), "Run its command again: it resumes")
+        # A second driver would stop the first.
+        running = f"shift3d sweep status {shlex.quote(str(folder))} says whether it still runs"
+        raise InputError("the sweep is not finished", str(folder), f"{running}; if not, run its command again")
     return read_table(path, name)
 
 
