@@ -11,10 +11,12 @@ from typing import Any
 from shift3d.errors import InputError
 from shift3d.scenes.sets import independent_group_of
 from shift3d.store.location import Location
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_final
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.results.final import VERIFICATION
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.spec import TaskSpec
 
@@ -142,12 +144,14 @@ def stable_objects(folder: LocationLike, detector: str, weights_hash: str, metho
     A control, which is tuned on the unchanged vehicles, thus sees the same scenes equally often.
     weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_files.detector_hash`. method:
     "adversarial", or "baseline" for the unchanged vehicles.
+    Tasks whose verification was quarantined are left out: verifying again does not run them.
     Raises: InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or
     ran on streets of another split than train.
     """
     found = scored_objects(folder, detector, ("adversarial",))
     where = str(found.folder)
-    if any(row.stable is None for row in found.objects):
+    failed = {task for entry in read_log(found.folder / VERIFICATION) for task in entry.quarantined}
+    if {row.spec.task_id for row in found.objects if row.stable is None} - failed:
         remedy = f"Verify the sweep first: shift3d verify {shlex.quote(where)}"
         raise InputError("is not verified, so its stable objects are unknown", where=where, remedy=remedy)
     refuse_other_weights(
@@ -159,7 +163,9 @@ def stable_objects(folder: LocationLike, detector: str, weights_hash: str, metho
     if not stable:
         raise InputError("no adversarial object is stable", where=where, remedy="See final/stability.html")
     left_out = Counter(found.left_out)
-    left_out.update({"no_valid_step": len(found.objects) - len(searched), "unstable": len(searched) - len(stable)})
+    unverified = sum(row.stable is None for row in searched)
+    unstable = len(searched) - len(stable) - unverified
+    left_out.update(no_valid_step=len(found.objects) - len(searched), unverified=unverified, unstable=unstable)
     if method != "adversarial":
         tasks = {row.spec.task_id for row in stable}
         stable = tuple(row for row in scored_objects(folder, detector, (method,)).objects if row.spec.task_id in tasks)
