@@ -128,6 +128,8 @@ def read_sweep(folder: LocationLike) -> Sweep:
     """Read the sweep of an output folder. Raises InputError: names what is no sweep's, unfinished or damaged."""
     folder = as_location(folder)
     plan, final = read_plan(folder), folder / "final"
+    # A driver that finishes meanwhile writes scores last, so it is read first.
+    tables = {name: read_final(folder, name).to_pandas() for name in _TABLES}
     later = [name for name in (*_LATER, "verification") if (final / f"{name}.parquet").is_file()]
-    tables = {name: read_final(folder, name).to_pandas() for name in (*_TABLES, *later)}
+    tables |= {name: read_final(folder, name).to_pandas() for name in later}
     return sweep_of(plan, tables, read_environment(folder))

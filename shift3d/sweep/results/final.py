@@ -48,7 +48,7 @@ class FinalTables:
 
 
 def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
-    """Write every table of ``final/`` from the commit log.
+    """Write every table of ``final/`` from the commit log, ``scores`` last: with it, all other tables are there.
 
     Raises: InputError: a segment is missing, torn or of another length than was committed; a score lacks its place; a
     verification is damaged or of another version; the disk is full.
@@ -75,8 +75,8 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, reach_m))
     skipped = [{"sweep": plan.sweep, "scene": name, "why": why} for name, why in plan.skipped.items()]
     tables["skipped_scenes"] = table_from_rows("skipped_scenes", skipped)
-    for name, table in tables.items():
-        write_table(folder / "final" / f"{name}.parquet", table)
+    for name in sorted(tables, key=lambda name: name == "scores"):
+        write_table(folder / "final" / f"{name}.parquet", tables[name])
     for name in FOLLOW_UPS[1:]:
         if (made := folder / "final" / f"{name}.parquet").is_file():
             tables[name] = read_table(made, name)

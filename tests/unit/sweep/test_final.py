@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from by_hand import BOTH_LAMBDAS, catalogue, score_row
 
+from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.log import CommitLog
-from shift3d.store.tables import table_from_rows
+from shift3d.store.log_entries import read_log
+from shift3d.store.tables import read_final, table_from_rows
 from shift3d.sweep.execution.worker import attempt_row
 from shift3d.sweep.planning.plan import Plan, make_plan
 from shift3d.sweep.results.final import FinalTables, write_final
@@ -74,6 +76,19 @@ def test_order_and_size_of_commits_change_no_byte(tmp_path: Path, suv_plan: Plan
     for name in ("scores", "solutions", "curves", "auc", "bev"):
         file = f"final/{name}.parquet"
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), name
+
+
+def test_a_sweep_is_not_finished_before_its_last_table_is_written(out: Path, suv_plan: Plan) -> None:
+    obstacle = out / "final" / "skipped_scenes.parquet"  # of the last table but scores
+    obstacle.mkdir(parents=True)
+    with pytest.raises(InputError, match="skipped_scenes"):
+        commit(out, suv_plan, list(range(6)), 6)
+    assert (out / "final" / "choices.parquet").is_file()
+    with pytest.raises(InputError, match="the sweep is not finished"):
+        read_final(out, "scores")
+    obstacle.rmdir()
+    write_final(out, suv_plan, read_log(out))
+    assert read_final(out, "scores").num_rows
 
 
 def test_gaps_are_rows(out: Path, suv_plan: Plan) -> None:
