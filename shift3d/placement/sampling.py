@@ -218,7 +218,7 @@ def pose_on_ground(
 ) -> Tensor | str:
     """Return the pose (6,) of a box on the ground at (x, y, yaw), or a key of `REFUSALS`. thorough: `ground_under`."""
     x, y, yaw = draw
-    if not is_clear(torch.tensor(draw), site.others, constraints.clear_m):
+    if not is_clear(torch.tensor(draw, dtype=torch.float64), site.others, constraints.clear_m):
         return "neighbour"
     if not site.is_labelled((x, y), constraints.clear_m):
         return "unlabelled"

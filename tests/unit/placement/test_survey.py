@@ -10,8 +10,8 @@ from analytic_fields import ground_scan
 from hills import slope_scan
 
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import REFUSALS, PlacementContext, PlacementLimits
-from shift3d.placement.survey import Survey, survey
+from shift3d.placement.sampling import REFUSALS, PlacementContext, PlacementLimits, pose_on_ground
+from shift3d.placement.survey import CAR_SIZE_M, Survey, survey
 from shift3d.render import Beams
 from shift3d.scenes.sets import StreetScenes
 from shift3d.task.places import NO_GROUND, place_lines
@@ -51,6 +51,14 @@ def test_each_reason_is_found_where_it_holds() -> None:
     assert "occupied" in counts(tried(np.vstack((plain(), post))))
     neighbour = torch.tensor([[10.5, 0.0]], dtype=torch.float64)
     assert counts(tried(plain(), others=neighbour)) == {"neighbour": 25}
+
+
+def test_a_neighbour_at_exactly_the_limit_is_too_near_though_float32_puts_it_farther() -> None:
+    beams, size, rules = Beams.from_arrays(plain(), np.zeros(3)), torch.tensor(CAR_SIZE_M), Constraints(clear_m=6.0)
+    x = 20.3
+    assert float(np.float32(x)) < x and x + rules.clear_m - x == rules.clear_m
+    site = PlacementContext(beams, -1.73, torch.tensor([[x + rules.clear_m, 0.0]], dtype=torch.float64))
+    assert pose_on_ground((x, 0.0, 0.3), site, size, rules) == "neighbour"
 
 
 def test_no_vehicle_stands_where_the_data_set_labels_nothing() -> None:
