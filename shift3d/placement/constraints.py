@@ -115,7 +115,7 @@ def check(
     Only points under the object (below its centre, within its baseline's length and width) count as contact, because a
     wall or kerb beside the object does not support it.
     """
-    places = object_points_near(points, theta, size_m, box=box)
+    places = object_points_near(points, theta, size_m, max(0.3, limits.contact_m), box)
     with torch.no_grad():
         metric = field(places).double()
     deepest = float(metric.min()) if len(metric) else float("inf")

@@ -47,9 +47,9 @@ CRATE = box((2.0, 0.9, 0.75))
     guard="the comparison with contact_m includes it",
 )
 def contact_at_exactly_the_tolerance() -> None:
-    limit = -0.75 - EXACT.contact_m
-    assert held(CRATE, (0.0, 0.0, limit)).contact_ok
-    assert not held(CRATE, (0.0, 0.0, np.nextafter(limit, -1.0))).contact_ok
+    for limits in (EXACT, Constraints(contact_m=0.5)):
+        heights = -0.75 - limits.contact_m, np.nextafter(-0.75 - limits.contact_m, -2.0)
+        assert [held(CRATE, (0.0, 0.0, z), limits=limits).contact_ok for z in heights] == [True, False]
 
 
 @hard_case(
