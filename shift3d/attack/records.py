@@ -15,14 +15,14 @@ from shift3d.render.field.object_field import VehicleFrame
 class StepRecord:
     """One rendering of an attack; step 0 is the start.
 
-    theta: (6,) pose. latent_distance: from the code of the start. loss: the descended value. adversarial_loss: its
-    first term. proposal_score: best score near the object before suppression. grazing_gradient: share of grazing beams
-    in the gradient that leads from this step to the next; None if no gradient was taken (last step). least_slope:
-    smallest |e . grad g| of this step's hits, infinite if no gradient was taken. non_finite: NaN and infinities among
-    the moved points, the proposals, the loss and the gradient; 0 by construction. within_budget: False for a shape
-    beyond the budget of naturalness, see `trials.Search.natural`. is_start: True for step 0, and whenever its object is
-    evaluated again. milliseconds: by stage (placement, render, detector, constraints, backward, naturalness), summed
-    over all places in the mean loss.
+    theta: (6,) pose. latent_distance: from the code of the start. loss: the descended value, the mean over all places
+    of the search. adversarial_loss: L_adv at theta alone. proposal_score: best score near the object before
+    suppression. grazing_gradient: share of grazing beams in the gradient that leads from this step to the next; None if
+    no gradient was taken (last step). least_slope: smallest |e . grad g| of this step's hits; infinite without hits,
+    and in searches without gradients. non_finite: NaN and infinities among the moved points, the proposals, the loss
+    and the gradient; 0 by construction. within_budget: False for a shape beyond the budget of naturalness, see
+    `trials.Search.natural`. is_start: True for step 0, and whenever its object is evaluated again. milliseconds: by
+    stage (placement, render, detector, constraints, backward, naturalness), summed over all places in the mean loss.
     """
 
     step: int

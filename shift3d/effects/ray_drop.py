@@ -25,9 +25,9 @@ class RayDrop(Effect):
     power = albedo cos(incidence) / range^2 (`power.echo_power`), least power = 0.9 / limit_range_m^2. A row is kept if
     its uniform draw lies below the probability; for power_spread 0, if the power suffices.
 
-    The power is that of clear air: this effect does NOT apply the extinction of fog, rain and snow. The weather effects
-    have decided on it before, with the same draws (`power.detection_draws`). Both tests together therefore lose the
-    same echoes as one test with the weaker of both powers.
+    After fog, rain or snow the albedo is the apparent one, which contains their extinction. They have decided on that
+    power before, with the same draws (`power.detection_draws`): this effect then loses no further echo, except for
+    changes of the power by the weather's range noise.
 
     Leaves unchanged: points, reflectance, rows off the object or without a return. An infinite limit loses nothing.
 
