@@ -144,5 +144,5 @@ def test_the_driver_says_which_process_of_its_ray_was_killed(private_ray: Privat
     assert private_ray.process.stdin and private_ray.process.stdout
     private_ray.process.stdin.write("killed")
     private_ray.process.stdin.close()
-    said = private_ray.process.stdout.read()  # with lines of Ray's own
-    assert "this machine: Ray's raylet ended early" in said and "it resumes" in said
+    output = private_ray.process.stdout.read()  # with lines of Ray's own
+    assert "this machine: Ray's raylet ended early" in output and "it resumes" in output
