@@ -63,7 +63,7 @@ RECIPES: dict[str, Recipe] = {
         steps=16_000,
         mesh_only_steps=0,
         peak_rate=3e-4,
-        augmentation=_VARIED,
+        augmentation=_TWO_REGIONS,
         code_weights=_HEADING_TWICE,
     ),
     "sst_small": _SST_SMALL,
