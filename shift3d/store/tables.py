@@ -107,8 +107,9 @@ def read_final(folder: LocationLike, name: str) -> pa.Table:
     path = as_location(folder) / "final" / f"{name}.parquet"
     if not path.is_file():
         # A second driver would stop the first.
-        running = f"shift3d sweep status {shlex.quote(str(folder))} says whether it still runs"
-        raise InputError("the sweep is not finished", str(folder), f"{running}; if not, run its command again")
+        status = f"shift3d sweep status {shlex.quote(str(folder))} says whether it still runs"
+        remedy = f"{status}; if not, run its command again: it resumes"
+        raise InputError("the sweep is not finished", str(folder), remedy)
     return read_table(path, name)
 
 

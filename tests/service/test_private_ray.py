@@ -30,7 +30,7 @@ except InputError as error:
     sys.exit(str(error))
 print(ray.get_runtime_context().gcs_address, flush=True)
 if address is None and sys.stdin.read():
-    while not (error := ended_process(ray)):
+    while not (error := ended_process()):
         time.sleep(0.05)
     print(error, flush=True)
 ray.shutdown()

@@ -15,8 +15,8 @@ from shift3d.errors import InputError
 from shift3d.task.assets import load_assets
 
 _MEASURES_NOTHING = {
-    *("effects", "errors", "exit_codes", "naturalness", "progress_bar", "seeding", "settings", "store", "training"),
-    "wording",
+    *("effects", "errors", "exit_codes", "naturalness", "processes", "progress_bar", "seeding", "settings", "store"),
+    *("training", "wording"),
 }
 """Packages that read settings, keep tables, format texts, draw places (part of a case), or serve other tasks alone."""
 

@@ -113,7 +113,7 @@ def test_a_folder_that_is_no_finished_sweep_is_refused(tmp_path: Path, capsys: p
     valid_sweeps.write_sweep(begun)
     assert main(["report", str(begun)]) == 2
     printed = capsys.readouterr().err
-    status = f"shift3d sweep status {begun} says whether it still runs; if not, run its command again"
+    status = f"shift3d sweep status {begun} says whether it still runs; if not, run its command again: it resumes"
     assert f"{begun}: the sweep is not finished. {status}" in printed, "a second driver would stop a running one"
     assert not (begun / "report.html").exists()
     write_final(begun, read_plan(begun), read_log(begun))

@@ -93,9 +93,11 @@ def _check_token(address: str) -> None:
         GcsClient(address=known).check_alive([], timeout=10)
 
 
-def ended_process(ray: Any) -> InputError | None:
+def ended_process() -> InputError | None:
     """Return the error for a process of a private Ray that has ended: Ray would end this process without a reason."""
-    node = ray._private.worker._global_node  # None, or without processes, where a cluster is joined
+    from ray._private import worker
+
+    node = worker._global_node  # None, or without processes, where a cluster is joined
     if node is None or node.remaining_processes_alive():
         return None
     what = f"Ray's {node.dead_processes()[0][0]} ended early, as when memory runs out"

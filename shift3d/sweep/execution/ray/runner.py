@@ -94,7 +94,7 @@ class RayRunner:
     def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
         self._backlog = Backlog(positions, self._tried)
         while self._calls or (self._backlog and not stop.is_set()):
-            if error := ended_process(self._ray):
+            if error := ended_process():
                 yield BatchOutcome(fatal=error)
                 return
             self._pool.grow(len(self._backlog) + len(self._calls))
