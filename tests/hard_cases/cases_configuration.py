@@ -44,7 +44,7 @@ def put(name: str, value: object) -> dict[str, object]:
 
 @hard_case(
     area=AREA,
-    why="a misspelt setting that were ignored would measure something else than was asked for",
+    why="a misspelt setting that were ignored would measure something else than was requested",
     must="an error that names it, and what there is",
     guard="the schema forbids what it does not know, and the error says so",
 )
@@ -56,7 +56,7 @@ def a_setting_that_does_not_exist() -> None:
 
 @hard_case(
     area=AREA,
-    why="_target_ is how Hydra is told to call any function",
+    why="by _target_ Hydra calls any function",
     must="an error: configuration names no code",
     guard="Hydra's refusal becomes one line with the settings there are",
 )

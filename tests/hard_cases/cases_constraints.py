@@ -68,7 +68,7 @@ def overlap_at_exactly_the_tolerance() -> None:
     area=AREA,
     why="a wall a centimetre from the bumper is near the surface, and nothing is under the wheels",
     must="no contact: a wall carries nothing",
-    guard="contact is asked of points under the object",
+    guard="only points under the object count as contact",
 )
 def contact_with_a_wall_is_none() -> None:
     wall = [(2.01, y, z) for y in (-0.5, 0.0, 0.5) for z in (-0.7, -0.2, 0.4)]
@@ -126,7 +126,7 @@ def an_object_wholly_under_the_ground() -> None:
 
 @hard_case(
     area=AREA,
-    why="it could be lifted out step by step, to a place that is not the one that was asked for",
+    why="it could be lifted out step by step, to a place other than the requested one",
     must="no pose is found beyond the reach, one within it is found",
     guard="the change of height is held against the reach at every step",
 )

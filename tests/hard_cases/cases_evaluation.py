@@ -186,7 +186,7 @@ def vehicles_on_the_edges_of_cells() -> None:
 @hard_case(
     area=AREA,
     why="no detector can find a vehicle without a point on it",
-    must="it is not asked for, and a curve with no other vehicle has no value",
+    must="it is not requested, and a curve with no other vehicle has no value",
     guard="vehicles without a point do not take part",
 )
 def a_vehicle_without_a_point() -> None:

@@ -99,7 +99,7 @@ def a_root_on_a_grazing_beam_is_not_polished() -> None:
 @hard_case(
     area="gradient",
     why="a field that jumps over zero has a large |g| and a fine slope at its surface: Newton's step leaves it",
-    must="the hit stays at the jump, and its residual is told",
+    must="the hit stays at the jump, and its residual is returned",
     guard="a root is polished by no more than 2 mm",
 )
 def a_root_is_not_polished_far() -> None:

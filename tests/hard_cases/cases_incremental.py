@@ -81,7 +81,7 @@ def a_point_is_no_number_for_a_while() -> None:
 
 @hard_case(
     area=AREA,
-    why="rows of a cloud of another length are other points: what moved cannot be told row by row",
+    why="rows of a cloud of another length are other points: moves cannot be found row by row",
     must="what a fresh look gives, from many points to none and back",
     guard="a cloud of another length is taken for new as a whole",
 )
@@ -129,7 +129,7 @@ def a_token_comes_and_goes() -> None:
 @hard_case(
     area=AREA,
     why="the gradient goes through every token of a window, of which a few alone hang on the points that are moved",
-    must="at the points that are asked for, the gradient of a fresh look, through every layer",
+    must="at the requested points, the gradient of a fresh look, through every layer",
     guard="tokens that carry a gradient enter a layer as they are, not as they were kept",
 )
 def a_token_requires_a_gradient_among_others() -> None:

@@ -94,7 +94,7 @@ def no_proposal_at_all() -> None:
 @hard_case(
     area=AREA,
     why="a box exactly 5 m from the object either detects it or leaves a blind spot",
-    must="it does not detect it: nearer than 5 m is asked for",
+    must="it does not detect it: nearer than 5 m is required",
     guard="the strict comparison in the score",
 )
 def a_box_exactly_at_the_detection_radius() -> None:

@@ -43,7 +43,7 @@ def a_plate_between_the_points_of_a_map() -> None:
 
 @hard_case(
     area="renderer",
-    why="such a plate 5 cm in front of a body shows in the map as a fall into the body that slackens for a while",
+    why="such a plate 5 cm in front of a body shows in the SDF grid as a fall into the body that flattens for a while",
     must="the plate is hit, not the body",
     guard="a crossing is taken from the map only where the distance falls all the way, at no flat angle",
 )

@@ -15,7 +15,7 @@ AREA = "retrieval"
 @hard_case(
     area=AREA,
     why="a label around the sensor: the way of a beam through that box begins behind the sensor",
-    must="every place that is said to be free lies on a beam, between the sensor and its return",
+    must="every place marked free lies on a beam, between the sensor and its return",
     guard="a way through a box begins at the sensor, where that is in it",
 )
 def a_sensor_inside_a_labelled_box() -> None:

@@ -47,7 +47,7 @@ def problem(min_object_points: int = 50) -> AttackProblem:
 @hard_case(
     area=AREA,
     why="an object that no beam reaches is missed by every detector: a blind spot that is none",
-    must="it is never kept, however few points are asked for, as long as any are",
+    must="it is never kept, however few points are required, as long as any are",
     guard="the share of the points that must remain is rounded up",
 )
 def an_object_wholly_occluded() -> None:

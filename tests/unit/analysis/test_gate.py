@@ -89,10 +89,8 @@ def test_an_accepted_release_run_again_repeats_its_verdict(folder: Path, bias: f
         assert {path.name: path.read_bytes() for path in (folder / f"out{bias:g}").glob("gate.*")} == files
     assert len(releases(folder)) == 2
     worse = ExitCode.WORSE if bias < -2.0 else ExitCode.DONE
-    assert gate(folder, bias, against=1).exit_code == worse, "what is asked for is answered"
-    assert "with themselves" in gate(folder, bias, against=2).text, (
-        "they are compared with themselves where that is said"
-    )
+    assert gate(folder, bias, against=1).exit_code == worse, "the requested comparison is made"
+    assert "with themselves" in gate(folder, bias, against=2).text, "they are compared with themselves if requested"
 
 
 @pytest.mark.parametrize("what", ["some objects", "two weights"])

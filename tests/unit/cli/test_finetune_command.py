@@ -143,7 +143,7 @@ def test_it_is_one_detector_that_is_tuned(tmp_path: Path, capsys: pytest.Capture
     assert main(["finetune", *LOCAL, "detector=pointpillars,sst_small", f"out={tmp_path / 'out'}"]) == 2
     assert "several detectors are attacked" in capsys.readouterr().err
     own = ["detector=own", "detector.module=mine.py", "detector.scored_by=[]"]
-    for words in (own, own[:1]):  # its files are not asked for first
+    for words in (own, own[:1]):  # its files are not requested first
         assert main(["finetune", *LOCAL, *words, f"out={tmp_path / 'out'}"]) == 2
         assert "there is no training of own" in capsys.readouterr().err
     assert finetune.COMMAND.name == "finetune"

@@ -146,7 +146,7 @@ def test_an_object_whose_size_is_not_known_takes_no_size_from_the_others() -> No
     rows["score"] = np.where(rows["height_m"] > 1.7, 0.2, 0.8)
     (whole,) = failure_rules(rows)
     assert [condition.quantity for condition in whole.rule.conditions] == ["height_m"]
-    assert left_out(rows) is None, "clearance, which no object has, is asked of none"
+    assert left_out(rows) is None, "clearance, which no object has, is required of none"
     lacking = rows.assign(height_m=rows["height_m"].mask(rows.index < 2))
     (found,) = failure_rules(lacking)
     assert [condition.quantity for condition in found.rule.conditions] == ["height_m"]
@@ -154,7 +154,7 @@ def test_an_object_whose_size_is_not_known_takes_no_size_from_the_others() -> No
     (without,) = failure_rules(rows[rows.index >= 2])
     assert found == without
     unmeasured = rows.assign(height_m=rows["height_m"].mask(rows.index % 3 > 0), range_m=objects()["range_m"])
-    assert left_out(unmeasured) is None, "what most objects lack is asked of none"
+    assert left_out(unmeasured) is None, "what most objects lack is required of none"
 
 
 def by_chance(seed: int, scenes: int = 20, vehicles: int = 60) -> pd.DataFrame:

@@ -114,7 +114,7 @@ def test_sweeps_are_listed_in_order_and_chosen(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no scene 'x-1'"):
         Argoverse2Scenes(tmp_path, names=["x-1"]).names()
     named = Argoverse2Scenes(tmp_path, [names[0], f"{LOG}-1"], list_unreadable=True)
-    assert named.names() == [names[0], f"{LOG}-1"], "what is wrong with one is said when it is loaded"
+    assert named.names() == [names[0], f"{LOG}-1"], "a wrong one is reported when it is loaded"
     for unknown in ("x-1", LOG, f"{LOG}-1", ""):
         with pytest.raises(InputError):
             Argoverse2Scenes(tmp_path).load(unknown)

@@ -110,7 +110,7 @@ def test_frames_are_chosen(tmp_path: Path) -> None:
     (tmp_path / "points" / "000001.npy").unlink()
     assert OpenPcdetScenes(tmp_path, split="val", list_unreadable=True).names() == ["000002", "000001"]
     named = OpenPcdetScenes(tmp_path, names=["000001", "000009"], list_unreadable=True)
-    assert named.names() == ["000001", "000009"], "what is wrong with one is said when it is loaded"
+    assert named.names() == ["000001", "000009"], "a wrong one is reported when it is loaded"
     with pytest.raises(InputError, match=r"val\.txt: no frame points/000001\.npy"):
         OpenPcdetScenes(tmp_path, split="val")
     with pytest.raises(InputError, match=r"train\.txt: the list of frames is missing"):

@@ -21,8 +21,8 @@ CODE = 4
 PUBLISHED = {"dims": [16, 16, 16], "latent_in": [2], "weight_norm": True, "norm_layers": [0, 1, 2]}
 VARIANTS: dict[str, dict[str, Any]] = {
     "published": PUBLISHED,
-    "no tanh asked for": {**PUBLISHED, "use_tanh": False},
-    "tanh asked for": {**PUBLISHED, "use_tanh": True},
+    "no tanh requested": {**PUBLISHED, "use_tanh": False},
+    "tanh requested": {**PUBLISHED, "use_tanh": True},
     "weight norm on some layers": {**PUBLISHED, "norm_layers": [1]},
     "layer norm": {**PUBLISHED, "weight_norm": False},
     "layer norm on some layers": {**PUBLISHED, "weight_norm": False, "norm_layers": [0, 3]},
